@@ -26,15 +26,9 @@ class RealClock:
     """The host's monotonic clock; a `Clock`.
 
     For whoever has no run to get one from: a driver that probes a port, or stops an actuator whose runner died.
-
-    Parameters
-    ----------
-    poll_s
-        How long the runner waits between two looks at its sensors, s.
     """
 
-    def __init__(self, poll_s: float = 0.02) -> None:
-        self.poll_s = poll_s
+    poll_s = 0.02
 
     def now(self) -> float:
         """Return the monotonic time, s."""
@@ -53,8 +47,6 @@ class SimulatedClock:
     ----------
     start_s
         Its time at the beginning, s.
-    poll_s
-        As of `RealClock`, but coarse: nobody waits for it, and every look costs computing time.
 
     Attributes
     ----------
@@ -62,9 +54,11 @@ class SimulatedClock:
         Its time, s; set to take up a run where it was left.
     """
 
-    def __init__(self, start_s: float = 0.0, poll_s: float = 2.0) -> None:
+    poll_s = 2.0
+    """Coarse: nobody waits for it, and every look costs computing time."""
+
+    def __init__(self, start_s: float = 0.0) -> None:
         self.time_s = start_s
-        self.poll_s = poll_s
 
     def now(self) -> float:
         """Return the simulated time, s."""

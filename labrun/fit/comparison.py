@@ -433,9 +433,12 @@ def _signals_beside(measured: Sequence[Signal], held: Sequence[Signal]) -> _Besi
     return time_s, here, there, len(measured)
 
 
-def _some(keys: Iterable[Key], most: int = 3) -> str:
+_TOLD = 3
+
+
+def _some(keys: Iterable[Key]) -> str:
     told = [condition_text(dict(key)) or "one without names" for key in keys]
-    return "; ".join(told[:most]) + (f" and {len(told) - most} more" if len(told) > most else "")
+    return "; ".join(told[:_TOLD]) + (f" and {len(told) - _TOLD} more" if len(told) > _TOLD else "")
 
 
 def _rounded(value: float | str) -> float | str:

@@ -28,7 +28,7 @@ _WORSE = 0.005
 
 SIGNIFICANT = 0.05
 _RANK: Mapping[CandidateVerdict, int] = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}
-_MOST_BARS = 6
+_MOST_BARS, _MOST_SPOTS = 6, 3
 _STANDS_OUT = 1.5
 """A part whose share is so many times the mean of its kind is worth a sentence."""
 _MOST = 0.5
@@ -94,7 +94,7 @@ def panels(where: Sequence[Place], most: int | None = None) -> list[PlacesPanel]
     return found[:most]
 
 
-def hot_spots(where: Sequence[Place], most: int = 3) -> list[HotSpot]:
+def hot_spots(where: Sequence[Place]) -> list[HotSpot]:
     """Return, for each way of dividing the data that is uneven beyond chance, the part that stands out.
 
     Before them comes a part that is narrower still (the recovery stroke at 0.4 Hz) if it holds most of the excess.
@@ -109,7 +109,7 @@ def hot_spots(where: Sequence[Place], most: int = 3) -> list[HotSpot]:
         if len(whole) > 1 and not first.share >= _STANDS_OUT * mean:
             continue
         found.append(_spot(first))
-    return [*_narrow(where), *found][:most]
+    return [*_narrow(where), *found][:_MOST_SPOTS]
 
 
 def beyond_chance(place: Place) -> bool:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self, TextIO
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,20 +126,11 @@ class LiveProgress:
 
 
 class PlainProgress(SilentProgress):
-    """Prints notes (a fault that was skipped, why a search ended) to standard error; quiet otherwise.
-
-    Parameters
-    ----------
-    stream
-        Where to print; standard error if None.
-    """
-
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream = stream if stream is not None else sys.stderr
+    """Prints notes (a fault that was skipped, why a search ended) to standard error; quiet otherwise."""
 
     def note(self, text: str) -> None:
         """Print a line."""
-        print(f"labrun: {text}", file=self._stream, flush=True)
+        print(f"labrun: {text}", file=sys.stderr, flush=True)
 
 
 State = Literal["starting", "running", "silent", "dead", "stopped", "finished"]

@@ -270,13 +270,13 @@ def _commands(findings: Findings) -> PageTable | None:
     """Return how evenly set-points went out; None where no device tells."""
     rows = [
         [
-            item.device,
+            device,
             f"{item.rate_hz:.4g}",
             str(item.sent),
             f"{item.missed} ({share_text(item.missed, item.sent + item.missed)})" if item.missed else "0",
             *(f"{1e3 * late_s:.2g}" for late_s in (item.late_median_s, item.late_p99_s, item.late_worst_s)),
         ]
-        for item in command_health(findings.run.events)
+        for device, item in command_health(findings.run.events).items()
     ]
     columns = ("device", "rate (Hz)", "sent", "skipped", "late, median (ms)", "99 % (ms)", "worst (ms)")
     return PageTable(columns, rows) if rows else None

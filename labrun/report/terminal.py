@@ -409,9 +409,9 @@ def _wrapped(text: str, columns: int, indent: str) -> str:
     )
 
 
-def keys_text(keys: Sequence[Key], width: int | None = None) -> str:
+def keys_text(keys: Sequence[Key]) -> str:
     """Return keys of an experiment file, a paragraph each: place, what it takes, default and unit, then its meaning."""
-    columns = shutil.get_terminal_size((120, 24)).columns if width is None else width
+    columns = shutil.get_terminal_size((120, 24)).columns
     lines = []
     for key in keys:
         default = "" if not key.default else key.default if " " in key.default else f"default {key.default}"

@@ -59,9 +59,7 @@ class LocatedFault:
         return {name: getattr(self, name) for name in self.__slots__}
 
 
-def refusal(
-    kind: type[RequestError], name: str, faults: Sequence[LocatedFault], *, hint: str | None = None
-) -> RequestError:
+def refusal(kind: type[RequestError], name: str, faults: Sequence[LocatedFault]) -> RequestError:
     """Return the error that tells everything that is wrong with one file.
 
     Parameters
@@ -76,7 +74,7 @@ def refusal(
     lines = [str(fault) for fault in faults]
     if len(lines) > 1:
         lines.insert(0, f"{name}: {len(faults)} errors")
-    error = kind("\n".join(lines), hint=hint)
+    error = kind("\n".join(lines))
     error.details["problems"] = [fault.to_json() for fault in faults]
     return error
 

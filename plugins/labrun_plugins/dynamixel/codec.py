@@ -31,9 +31,9 @@ def _table() -> tuple[int, ...]:
 CRC_TABLE = _table()
 
 
-def crc16(data: bytes, start: int = 0) -> int:
+def crc16(data: bytes) -> int:
     """Return the check sum of a packet from its first header byte on: CRC-16/BUYPASS."""
-    crc = start
+    crc = 0
     for byte in data:
         crc = ((crc << 8) ^ CRC_TABLE[(crc >> 8) ^ byte]) & 0xFFFF
     return crc

@@ -259,12 +259,12 @@ def whole(text: str, detail: str = "") -> int:
     return int(text)
 
 
-def decimal(text: str, detail: str = "") -> float:
-    """Return a decimal number of a line, such as -0.500; RefusalError RANGE with this detail if it is none."""
+def decimal(text: str) -> float:
+    """Return a decimal number of a line, such as -0.500; RefusalError RANGE if it is none."""
     digits = text.removeprefix("-")
     before, _, after = digits.partition(".")
     if not (digits.isascii() and (before + after).isdigit()) or len(digits) > 12:
-        raise RefusalError("RANGE", detail)
+        raise RefusalError("RANGE")
     return float(text)
 
 

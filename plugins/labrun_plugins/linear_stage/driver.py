@@ -3,7 +3,7 @@
 import datetime
 import threading
 from collections.abc import Mapping
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 from labrun.devices import (
     Channel,
@@ -41,26 +41,8 @@ _OLD_DAYS = 365
 _POOR_RESIDUAL = 0.01
 
 
-class Streaming(Protocol):
-    """What is needed of the driver."""
-
-    rate_hz: float
-
-    def start(self) -> None:
-        """Begin to stream."""
-        ...
-
-    def read(self) -> Samples:
-        """Return the samples since the last call."""
-        ...
-
-    def stop(self) -> None:
-        """End the stream."""
-        ...
-
-
 def examine(
-    stage: Streaming,
+    stage: "LinearStage",
     hello: Hello,
     state: StageState,
     settings: LinearStageSettings,
@@ -126,7 +108,7 @@ def _calibration(settings: LinearStageSettings) -> Remark:
     return Remark("ok", "calibration", f"{told}; of {calibration.date}")
 
 
-def _stream(stage: Streaming, settings: LinearStageSettings, clock: Clock) -> list[Remark]:
+def _stream(stage: "LinearStage", settings: LinearStageSettings, clock: Clock) -> list[Remark]:
     stage.start()
     try:
         clock.sleep(_LISTEN_S)

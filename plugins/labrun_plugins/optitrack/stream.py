@@ -185,7 +185,6 @@ class PoseReader:
     def __init__(self, settings: OptiTrackSettings) -> None:
         self.channels = channels_of(settings)
         markers = settings.markers
-        self.with_markers = bool(markers)
         self._bodies = settings.bodies
         self._angles = BodyAngles(settings)
         self._markers = [

@@ -6,26 +6,26 @@ from labrun.devices import Clock, DeviceError, SampleBuffer, SerialPort
 from labrun_plugins.robotiq_ft300 import codec
 from labrun_plugins.robotiq_ft300.link import Registers
 
+_STRETCH = 25
+"""Frames a stretch: losses are told by the end of the next stretch."""
+
 
 class GapCounter:
     """Estimates lost frames from receive times.
 
     Frames leave the sensor on a regular grid and come some time after it. The least late frame of each stretch of
-    `window` frames says where the grid stands: if even that one is late by n periods, n frames are missing. A host that
+    25 frames says where the grid stands: if even that one is late by n periods, n frames are missing. A host that
     was busy for a while is not mistaken for a loss, since the frames it then finds all at once end on the grid again;
-    nor is a sensor whose clock is off by up to half a period a stretch (2 % with 25 frames).
+    nor is a sensor whose clock is off by up to half a period a stretch (2 %).
 
     Parameters
     ----------
     period_s
         Of the grid.
-    window
-        Frames a stretch: losses are told by the end of the next stretch.
     """
 
-    def __init__(self, period_s: float, window: int = 25) -> None:
+    def __init__(self, period_s: float) -> None:
         self._period_s = period_s
-        self._window = window
         self._next_s: float | None = None
         self._heard = 0
         self._least_late_s = math.inf
@@ -42,7 +42,7 @@ class GapCounter:
             late_s = 0.0
         self._least_late_s = min(self._least_late_s, late_s)
         self._heard += 1
-        return self.settle() if self._heard >= self._window else 0
+        return self.settle() if self._heard >= _STRETCH else 0
 
     def settle(self) -> int:
         """Judge by the frames since the last time, though they may be few; return the losses found."""
