@@ -1,6 +1,5 @@
 """A diagnosis: which data, against which model, and where its answer is kept."""
 
-import json
 import shutil
 import time
 from collections.abc import Mapping, Sequence
@@ -10,16 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
-from labrun.app.kept import FIGURE, FOLDER, NUMBERS, PAGE, kept_folder, put_aside, read_stored
+from labrun.app.kept import FOLDER, as_texts, keep, kept_folder, read_stored
 from labrun.app.question import ask, find_data
-from labrun.errors import RequestError, StoreError
+from labrun.errors import RequestError
 from labrun.fit import Note, silent
 from labrun.gap import Diagnosis, Options, diagnose_dataset, recalibrated_only, require_new, save_with_law
 from labrun.gap import save_model as write_model
-from labrun.json_numbers import finite
 from labrun.notebook import as_html
 from labrun.report.gap_text import gap_lines
-from labrun.store import find_run, replace_durably, require_writable
+from labrun.store import find_run, require_writable
 from labrun.workers import cores
 
 if TYPE_CHECKING:
@@ -74,14 +72,10 @@ class StoredDiagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap diagnose --json`` prints."""
-        named = {
-            "stored": self.numbers,
-            "report": self.page,
-            "figure": self.figure,
-            "saved_model": self.model,
-            **({} if self.law is None else {"law": self.law, "law_model": self.law.with_name(LAW_MODEL)}),
-        }
-        files = {name: None if path is None else str(path) for name, path in named.items()}
+        law = {} if self.law is None else {"law": self.law, "law_model": self.law.with_name(LAW_MODEL)}
+        files = as_texts(
+            stored=self.numbers, report=self.page, figure=self.figure, saved_model=self.model, **law
+        )
         return {**self.diagnosis.to_json(), **files}
 
 
@@ -218,29 +212,16 @@ def store(
     StoreError
         A file cannot be written.
     """
-    folder = kept_folder(target, results, FOLDER)
-    numbers = folder / NUMBERS
-    try:
-        put_aside(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        numbers_of = finite(diagnosis.to_json())
-        if source is not None:
-            numbers_of["model_source"] = (
-                str(Path(source).resolve()) if Path(source).is_file() else str(source)
-            )
-        replace_durably(numbers, (json.dumps(numbers_of, indent=2) + "\n").encode())
-        if not page:
-            return StoredDiagnosis(diagnosis, numbers)
+
+    def drawn() -> tuple[str, Any]:
         # matplotlib
         from labrun.report.figures.gap import diagnosis_figure
         from labrun.report.gap_page import diagnosis_page
-        from labrun.report.style import save
 
-        figure = save(diagnosis_figure(diagnosis), folder / FIGURE)
-        replace_durably(folder / PAGE, diagnosis_page(diagnosis).encode())
-    except OSError as error:
-        raise StoreError(f"{folder} cannot be written to: {error.strerror}") from error
-    return StoredDiagnosis(diagnosis, numbers, folder / PAGE, figure)
+        return diagnosis_page(diagnosis), diagnosis_figure(diagnosis)
+
+    folder = kept_folder(target, results, FOLDER)
+    return StoredDiagnosis(diagnosis, *keep(folder, diagnosis.to_json(), source, drawn if page else None))
 
 
 def reveal(target: str | Path, *, results: str | Path = "results") -> "Compared":

@@ -1,21 +1,18 @@
 """A robot diagnosed joint by joint, and where its answer is kept."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from labrun.app.kept import FIGURE, FOLDER, NUMBERS, PAGE, kept_folder
+from labrun.app.kept import FOLDER, as_texts, keep, kept_folder
 from labrun.app.question import ask, find_data
-from labrun.errors import StoreError
 from labrun.fit import Note, silent
 from labrun.gap import Options, RobotDiagnosis, diagnose_robot, require_new, why_not
 from labrun.gap import save_model as write_model
-from labrun.json_numbers import finite
 from labrun.models import read_robot
 from labrun.report.robot import robot_lines
-from labrun.store import replace_durably, require_writable
+from labrun.store import require_writable
 from labrun.workers import cores
 
 ROBOT = "robot.xml"
@@ -41,16 +38,8 @@ class StoredRobotDiagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap diagnose --json`` prints."""
-        files = {
-            "stored": self.numbers,
-            "report": self.page,
-            "figure": self.figure,
-            "saved_model": self.model,
-        }
-        return {
-            **self.diagnosis.to_json(),
-            **{name: None if path is None else str(path) for name, path in files.items()},
-        }
+        files = as_texts(stored=self.numbers, report=self.page, figure=self.figure, saved_model=self.model)
+        return {**self.diagnosis.to_json(), **files}
 
 
 def joint_by_joint(target: str | Path, results: str | Path = "results") -> str | None:
@@ -97,34 +86,23 @@ def diagnose_joints(
     folder = find_data(target, results)
     if save_model is not None:
         require_new(save_model)
-    kept = kept_folder(folder, results, FOLDER)
-    require_writable(kept, "the diagnosis")
+    where = kept_folder(folder, results, FOLDER)
+    require_writable(where, "the diagnosis")
     question = ask(folder, None)
     options = Options(seed=seed or 0, withhold=tuple(withhold), workers=workers or cores())
     found = diagnose_robot(read_robot(folder / ROBOT), question.model, question.dataset, options, note=note)
     found = replace(found, source=str(folder))
     note("writing the report" if page else "storing the diagnosis")
-    stored = _kept(found, kept, str(Path(question.model.source).resolve()), page=page)
+
+    def drawn() -> tuple[str, Any]:
+        # matplotlib
+        from labrun.report.robot import robot_figure, robot_page
+
+        return robot_page(found), robot_figure(found)
+
+    kept = keep(where, found.to_json(), question.model.source, drawn if page else None)
+    stored = StoredRobotDiagnosis(found, *kept)
     if save_model is None:
         return stored
     write_model(found.to_json(), question.model.source, save_model)
     return replace(stored, model=save_model)
-
-
-def _kept(found: RobotDiagnosis, folder: Path, source: str, *, page: bool) -> StoredRobotDiagnosis:
-    numbers = folder / NUMBERS
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        told = {**finite(found.to_json()), "model_source": source}
-        replace_durably(numbers, (json.dumps(told, indent=2) + "\n").encode())
-        if not page:
-            return StoredRobotDiagnosis(found, numbers)
-        # matplotlib
-        from labrun.report.robot import robot_figure, robot_page
-        from labrun.report.style import save
-
-        figure = save(robot_figure(found), folder / FIGURE)
-        replace_durably(folder / PAGE, robot_page(found).encode())
-    except OSError as error:
-        raise StoreError(f"{folder} cannot be written to: {error.strerror}") from error
-    return StoredRobotDiagnosis(found, numbers, folder / PAGE, figure)

@@ -2,18 +2,57 @@
 
 import json
 import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from labrun.errors import RequestError
-from labrun.store import is_recording
+from labrun.errors import RequestError, StoreError
+from labrun.json_numbers import finite
+from labrun.store import is_recording, replace_durably
 
 FOLDER = "gap"
 NUMBERS = "diagnosis.json"
 PAGE = "gap.html"
-FIGURE = "gap_figure.png"
+_FIGURE = "gap_figure.png"
+Kept = tuple[Path, Path | None, Path | None]
+"""Numbers, page and picture of a diagnosis; None for those that were not asked for."""
+
+
+def keep(
+    folder: Path,
+    numbers: Mapping[str, Any],
+    source: str | Path | None,
+    drawn: Callable[[], tuple[str, Any]] | None,
+) -> Kept:
+    """Write a diagnosis, and where its model came from; one that is there already is put aside.
+
+    `drawn` makes the page, and the picture as a figure; None if they are not asked for. Raises StoreError: a file
+    cannot be written.
+    """
+    try:
+        _put_aside(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        told = finite(dict(numbers))
+        if source is not None:
+            told["model_source"] = str(Path(source).resolve()) if Path(source).is_file() else str(source)
+        replace_durably(folder / NUMBERS, (json.dumps(told, indent=2) + "\n").encode())
+        if drawn is None:
+            return folder / NUMBERS, None, None
+        # matplotlib
+        from labrun.report.style import save
+
+        page, figure = drawn()
+        picture = save(figure, folder / _FIGURE)
+        replace_durably(folder / PAGE, page.encode())
+    except OSError as error:
+        raise StoreError(f"{folder} cannot be written to: {error.strerror}") from error
+    return folder / NUMBERS, folder / PAGE, picture
+
+
+def as_texts(**files: Path | None) -> dict[str, str | None]:
+    """Return paths as JSON has them."""
+    return {name: None if path is None else str(path) for name, path in files.items()}
 
 
 def read_stored(run: Path) -> Mapping[str, Any]:
@@ -51,7 +90,7 @@ def stem_of(name: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name) or "model"
 
 
-def put_aside(folder: Path) -> None:
+def _put_aside(folder: Path) -> None:
     """Keep an earlier diagnosis under the next free number."""
     if not (folder / NUMBERS).exists():
         return
