@@ -32,6 +32,8 @@ IN_THE_ROBOT: Mapping[str, Mapping[str, str]] = {
 """Their parameters in the model of the whole robot, and what these are called in the effect."""
 OF_THE_LOG = ("late-clock", "delay")
 """Of all goals at once: stamped late beside all angles, or followed late by them."""
+OF_A_TORQUE = ("delay", "early-clock", "lag")
+"""What a torque is not asked for at one joint alone: one that sticks brakes before it moves, which looks like a time."""
 _CLOCKS = ("early-clock", "late-clock")
 """Of an encoder, and of its goals: beside the other, one is the other."""
 _NOT_LOOKED_FOR = "no cause was looked for"
@@ -247,7 +249,14 @@ def _looked(
     joints = {place: one_joint(found, place) for place in places}
     drawn = found.redrawn(np.random.default_rng(options.seed))
     least = {place: _least_gap(one, one_joint(drawn, place)) for place, one in joints.items()}
-    asked = {place: replace(options, least_gap=max(options.least_gap, one)) for place, one in least.items()}
+    asked = {
+        place: replace(
+            options,
+            least_gap=max(options.least_gap, one),
+            withhold=(*options.withhold, *(OF_A_TORQUE if joints[place].by_torque else ())),
+        )
+        for place, one in least.items()
+    }
     answers: dict[int, Diagnosis] = {}
 
     def told(text: str) -> None:
@@ -287,7 +296,7 @@ def _smoothing_gap(one: OneJoint, drawn: OneJoint) -> float:
         The same with the noise of all joints drawn again, see `Prescribed.redrawn`.
     """
     names = [signal.name for signal in one.model.inputs]
-    if names != [signal.name for signal in drawn.model.inputs]:
+    if one.by_torque or names != [signal.name for signal in drawn.model.inputs]:
         return 0.0  # a body was near enough to the share that counts to be taken in once: a small one
     own = [names.index("measured"), names.index("measured_rate")]
     apart, left, substeps = [], [], None

@@ -45,7 +45,7 @@ def _beside(
 ) -> list[FloatArray]:
     """Return how far a joint is from what was measured of it in every trial; empty where no cause says that it is."""
     soft = [effect for effect in effects if effect.effect.kind == "link"]
-    sensors = [effect for effect in effects if effect.effect.kind == "output"]
+    sensors = [effect for effect in effects if effect.effect.kind == "output" and not one.by_torque]
     by: list[FloatArray] = []
     if soft:
         each = range(len(one.dataset.trials))

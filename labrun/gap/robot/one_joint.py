@@ -6,6 +6,10 @@ Algorithms (2008), chapter 3), linearised about the measured motion in what the 
     (armature + H(t)) q'' = drive - damping q' - c(t) - dc/dq (q - q_measured) - dc/dq' (q' - q'_measured)
 
 H and c come from the inverse dynamics of the bodies that hang on the joint, each in proportion to its mass.
+
+Where the log holds the torque itself, the same equation is read the other way: which torque the measured motion asks
+for, beside the one that was exerted. Integrated, a joint that no servo holds drifts away from whatever was measured,
+and every small constant in its torque is all there is to see.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -47,6 +51,11 @@ class OneJoint:
     model: Model
     dataset: Dataset
 
+    @property
+    def by_torque(self) -> bool:
+        """Whether its output is the torque that it was driven by, not its angle."""
+        return not self.model.states
+
 
 @dataclass(frozen=True)
 class Prescribed:
@@ -81,6 +90,11 @@ class Prescribed:
         """The usual time between samples."""
         return float(np.median(np.concatenate([np.diff(one.time_s) for one in self.dataset.trials])))
 
+    def late_s(self, channel: str) -> float:
+        """Return by how much an input acts late on the whole: half a sample where it is held from one to the next."""
+        between = next(one.between for one in self.dataset.inputs if one.name == channel)
+        return 0.5 * self.sample_s if between == "hold" else 0.0
+
     def led(self, lead_s: float) -> "Prescribed":
         """Return the same with goals that are stamped late by so much."""
         return replace(self, lead_s=lead_s)
@@ -97,6 +111,17 @@ class Prescribed:
     def drive(self, joint: RobotJoint) -> RobotActuator | None:
         """Return what drives a joint."""
         return next((one for one in self.robot.actuators if one.joint == joint.name), None)
+
+    def torque_of(self, joint: RobotJoint) -> RobotActuator | None:
+        """Return what drives a joint if the log holds its torque as it was exerted; None otherwise."""
+        drive = self.drive(joint)
+        if drive is None or drive.command not in ("torque", "geared"):
+            return None
+        column = [one.name for one in self.dataset.inputs].index(drive.input)
+        told = np.concatenate([trial.inputs[:, column] for trial in self.dataset.trials])
+        gains = self.own.drives[joint.name]
+        low, high = np.sort(np.array(gains.limits) / gains.gear) if gains.gear else (0.0, 0.0)
+        return drive if low < told.min() and told.max() < high else None
 
     def on_base(self, roll: float, pitch: float) -> "Prescribed":
         """Return the same with a base that is tilted by these angles (rad)."""
@@ -251,7 +276,7 @@ def one_joint(found: Prescribed, place: int) -> OneJoint:
     bodies = [found.terms[0].bodies[k] for k in own]
     text = "\n".join(_lines(found, place, joint, drive, bodies, tilted=tilted, loaded=loaded))
     model = parse_model(text, f"{found.robot.name}: {joint.name}")
-    if drive is not None and found.lead_s:
+    if drive is not None and found.lead_s and model.states:
         model = model.with_effects([found.clock_at(drive.input)])
     return OneJoint(
         joint, model, _dataset(found, place, joint, drive, own, rest, model, tilted=tilted, loaded=loaded)
@@ -265,25 +290,30 @@ def _dataset(
     data = found.dataset
     output = [one.name for one in data.outputs].index(joint.output)
     goal = [one.name for one in data.inputs].index(drive.input) if drive else None
+    by_torque = not model.states
     trials, begun = [], 0.0
     told = [tuple(sorted(trial.condition.items())) for trial in data.trials]
     in_row = len(set(told)) == len(told)
     around = found.around or tuple(np.zeros_like(q) for q, _, _ in found.motions)
     every = zip(data.trials, found.motions, found.terms, around, strict=True)
-    for number, (trial, (q, rate, _), terms, more) in enumerate(every):
-        columns = [] if goal is None else [trial.inputs[:, goal]]
+    for number, (trial, (q, rate, acceleration), terms, more) in enumerate(every):
+        columns = [] if goal is None or by_torque else [trial.inputs[:, goal]]
         columns += [terms.torque[:, place, k] for k in own] + [terms.inertia[:, place, k] for k in own]
         columns += [
             terms.torque[:, place, rest].sum(axis=1) + more[:, place], terms.inertia[:, place, rest].sum(axis=1),
             terms.slope[:, place], terms.rate_slope[:, place], q[:, place], rate[:, place],
             found.given_way(number, place),
         ]  # fmt: skip
+        columns += [acceleration[:, place]] if by_torque else []
         columns += [terms.tilt[:, place, 0], terms.tilt[:, place, 1]] if tilted else []
         columns += [terms.load[:, place]] if loaded else []
         # trials of one log follow one another: what changes with the log's time needs it (repeats are averaged instead)
         time_s = trial.time_s + (begun - trial.time_s[0]) if in_row else trial.time_s
         begun += float(trial.time_s[-1] - trial.time_s[0])
         outputs = trial.outputs[:, [output]].copy()
+        if drive is not None and by_torque:
+            at_s = trial.time_s + found.lead_s - found.late_s(drive.input)
+            outputs[:, 0] = np.interp(at_s, trial.time_s, trial.inputs[:, goal])
         trials.append(replace(trial, time_s=time_s, inputs=np.column_stack(columns), outputs=outputs))
     known = {one.name: one for one in data.inputs}
     infos = tuple(known.get(one.name) or SignalInfo(one.name, one.unit) for one in model.inputs)
@@ -291,7 +321,9 @@ def _dataset(
         data,
         name=f"{data.name}: {joint.name}",
         inputs=infos,
-        outputs=(data.outputs[output],),
+        outputs=(
+            SignalInfo(model.outputs[0].name, model.outputs[0].unit) if by_torque else data.outputs[output],
+        ),
         trials=tuple(trials),
     )
 
@@ -301,14 +333,16 @@ def _lines(
     *, tilted: bool, loaded: bool,
 ) -> Iterator[str]:  # fmt: skip
     q, rate = joint.output, f"{joint.output}_rate"
+    by_torque = found.torque_of(joint) is not None
     yield f'name = "{found.robot.name}-{joint.output}"'
-    yield f'states = ["{q}", "{rate}"]'
+    yield "states = []" if by_torque else f'states = ["{q}", "{rate}"]'
     yield "[inputs]"
-    if drive is not None:
+    if drive is not None and not by_torque:
         between = "hold" if drive.command in ("position", "velocity") else "linear"
         yield f'{drive.input} = {{ unit = "{drive.unit}", between = "{between}" }}'
     known = [f"torque_{k}" for k in range(len(bodies))] + [f"inertia_{k}" for k in range(len(bodies))]
     known += ["torque_rest", "inertia_rest", "slope", "rate_slope", "measured", "measured_rate", "given_way"]
+    known += ["measured_acceleration"] if by_torque else []
     known += ["roll_torque", "pitch_torque"] if tilted else []
     known += ["load_torque"] if loaded else []
     for name in known:
@@ -321,11 +355,12 @@ def _lines(
         [f"{q}_armature", "inertia_rest", *(f"{mass}*inertia_{k}" for k, mass in enumerate(masses))]
     )
     effort = _effort(joint, drive, found)
-    own = [f"{q}_damping*{rate}"]
+    angle, speed = ("measured", "measured_rate") if by_torque else (q, rate)
+    own = [f"{q}_damping*{speed}"]
     if joint.sprung:
-        own.append(f"{q}_stiffness*({q} - {found.own.rest[place]!r})")
+        own.append(f"{q}_stiffness*({angle} - {found.own.rest[place]!r})")
     if found.own.friction[place]:
-        own.append(f"{found.own.friction[place]!r}*tanh({rate}/0.01)")
+        own.append(f"{found.own.friction[place]!r}*tanh({speed}/0.01)")
     forces = [
         f"force.{q}",
         f"force.{q}_link",
@@ -333,6 +368,13 @@ def _lines(
         *([f"force.{_whole_site('tip', joint)}"] if loaded else []),
     ]
     yield "[equations]"
+    if by_torque and drive is not None:
+        asked = f"({inertia})*measured_acceleration + {' + '.join(own)} + ({torque})"
+        gear = found.own.drives[joint.name].gear
+        yield "[outputs]"
+        yield f'{drive.input} = {{ equation = "({asked} - {" - ".join(forces)})/{gear!r}", unit = "{drive.unit}" }}'
+        yield from _sites(joint, asked, (angle, speed), driven=True, tilted=tilted, loaded=loaded)
+        return
     yield f'{q} = "{rate}"'
     yield (
         f'{rate} = "({effort} + {" + ".join(forces)} - {" - ".join(own)} - ({torque}) - slope*({q} - measured)'
@@ -340,7 +382,7 @@ def _lines(
     )
     yield "[outputs]"
     yield f'{q} = {{ equation = "{q}", unit = "{joint.unit}" }}'
-    yield from _sites(joint, effort, driven=drive is not None, tilted=tilted, loaded=loaded)
+    yield from _sites(joint, effort, (q, rate), driven=drive is not None, tilted=tilted, loaded=loaded)
     yield "[initial]"
     yield f'{q} = "first"\n{rate} = "free"'
 
@@ -360,7 +402,7 @@ def _parameters(
             f"{force}/{joint.unit}",
         )
     armature = found.own.armature[place]
-    if armature:
+    if armature or f"{q}_armature" in {one.name for one in found.whole.parameters}:
         # a rotor's inertia behind a gear is known no better than the masses that hang on the joint
         inertia = "kg m^2" if joint.unit == "rad" else "kg"
         yield _parameter(found.whole, f"{q}_armature", armature, MASS_TOLERANCE, inertia)
@@ -376,10 +418,21 @@ def _parameters(
         yield f"{identifier(body)}_mass_ratio = {{ value = 1.0, tolerance = {MASS_TOLERANCE}, lower = 0.0 }} # {k}"
 
 
-def _sites(joint: RobotJoint, effort: str, *, driven: bool, tilted: bool, loaded: bool) -> Iterator[str]:
-    q, rate = joint.output, f"{joint.output}_rate"
+def _sites(
+    joint: RobotJoint, effort: str, motion: tuple[str, str], *, driven: bool, tilted: bool, loaded: bool
+) -> Iterator[str]:
+    """Return the lines of a joint's sites.
+
+    Parameters
+    ----------
+    effort
+        Equation of what its drive puts on it.
+    motion
+        What of the model its angle and its rate are.
+    """
+    q, (angle, rate) = joint.output, motion
     yield f"[sites.{q}]"
-    yield f'kind = "joint"\ncoordinate = "{q}"\nrate = "{rate}"\nload = "{effort}"'
+    yield f'kind = "joint"\ncoordinate = "{angle}"\nrate = "{rate}"\nload = "{effort}"'
     if driven:
         yield "drive = true"
     if joint.sprung:

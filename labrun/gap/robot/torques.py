@@ -94,13 +94,11 @@ def _effort(found: Prescribed, place: int, drive: RobotActuator, ahead_s: float)
     gains = found.own.drives[drive.joint]
     told = []
     for trial, (q, rate, _) in zip(found.dataset.trials, found.motions, strict=True):
-        goal, at_s = trial.inputs[:, column], trial.time_s + ahead_s
+        at_s = trial.time_s + ahead_s - found.late_s(drive.input)
+        goal = np.interp(at_s, trial.time_s, trial.inputs[:, column])
         if drive.command in ("torque", "geared"):
-            told.append(gains.gear * np.interp(at_s, trial.time_s, goal))
-            continue
-        # a goal that is held from sample to sample is late by half of one
-        goal = np.interp(at_s - 0.5 * found.sample_s, trial.time_s, goal)
-        if drive.command == "velocity":
+            told.append(gains.gear * goal)
+        elif drive.command == "velocity":
             told.append(gains.kp * (goal - rate[:, place]))
         else:
             told.append(gains.kp * (goal - q[:, place]) - gains.kv * rate[:, place])

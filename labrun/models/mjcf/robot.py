@@ -313,7 +313,7 @@ def _add_actuators(spec: Any, model: Any, drives: Mapping[str, Drive]) -> None:
     """Give joints a torque, or a servo whose gains fit the inertia that each joint sees where the robot begins.
 
     What brakes a servo is put into its joint, where it is fitted: the motion shows no more than the sum. The inertia of
-    a rotor of which the file says nothing is fitted as well, from that of a matched gear on.
+    a rotor of which the file says nothing is fitted as well; that of a servo from a matched gear's on.
     """
     mujoco = imported()
     data = mujoco.MjData(model)
@@ -459,14 +459,14 @@ def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
 def _parameters(robot: Robot, set_elsewhere: Collection[str]) -> Iterator[str]:
     names = [one.name for one in robot.joints]
     armature = dict(zip(names, robot_terms(robot.xml, names).armature, strict=True))
-    added = {one.joint for one in robot.actuators if one.added and one.command == "position"}
+    added = {one.joint for one in robot.actuators if one.added}
     for joint in robot.joints:
         per = "N m s/rad" if joint.unit == "rad" else "N s/m"
         yield (
             f'{joint.output}_damping = {{ mjcf = "joint.{joint.name}.damping", tolerance = {_FREE}, '
             f'unit = "{per}", lower = 0.0 }}'
         )
-        if armature[joint.name]:
+        if armature[joint.name] or joint.name in added:
             tolerance = _FREE if joint.name in added else str(_MASS_TOLERANCE)
             yield (
                 f'{joint.output}_armature = {{ mjcf = "joint.{joint.name}.armature", tolerance = {tolerance}, '

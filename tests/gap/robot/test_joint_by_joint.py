@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labrun.effects import AttachedEffect, load_effect
-from labrun.fit import Dataset, FitTrial
+from labrun.fit import Dataset, FitTrial, silent
 from labrun.fit.output_error import fit_model
 from labrun.gap import Options, diagnose_robot, parameter_ranges, why_not
 from labrun.gap.diagnose import diagnose_dataset
@@ -21,6 +21,7 @@ from labrun.gap.robot.diagnose import (
     RobotDiagnosis,
     _announced,
     _into_damping,
+    _looked,
     _smoothing_gap,
 )
 from labrun.gap.robot.links import beside_encoders, links_that_explain
@@ -123,6 +124,35 @@ def test_of_servos_that_the_file_lacks_gains_and_rotors_come_out_of_the_log(tmp_
     # what brakes the joint and its servo is told as one
     truth = {"elbow_kp": 40.0, "elbow_armature": 0.02, "elbow_damping": 0.2 + 2.0}
     assert {name: found[name] for name in truth} == pytest.approx(truth, rel=0.1)
+
+
+def test_where_the_torque_is_logged_a_joint_is_asked_which_torque_its_motion_takes(tmp_path):
+    import mujoco
+
+    motors = re.sub(r'<position (name="\w+" joint="\w+").*?/>', r"<motor \1/>", XML)
+    (tmp_path / "motors.xml").write_text(motors, encoding="utf-8")
+    simulated = mujoco.MjModel.from_xml_string(motors)
+    simulated.opt.timestep, friction, rng = SHORT_S, 0.6, np.random.default_rng(4)
+    time_s, trials = np.arange(SAMPLES) * SAMPLE_S, []
+    for number, (goals, _) in enumerate(log()):
+        data, torques, angles = mujoco.MjData(simulated), np.empty_like(goals), np.empty_like(goals)
+        for row, goal in enumerate(goals):
+            angles[row] = data.qpos + NOISE * rng.standard_normal(2)
+            torques[row] = data.ctrl[:] = (150, 40) * (goal - data.qpos) - np.array([8, 2]) * data.qvel
+            for _ in range(round(SAMPLE_S / SHORT_S)):
+                data.qfrc_applied[1] = -friction * np.tanh(data.qvel[1] / 2e-3)
+                mujoco.mj_step(simulated, data)
+        trials.append(FitTrial(f"trial {number}", {"motion": f"m{number}"}, 1, time_s, torques, angles))
+    robot, model = read_robot(tmp_path / "motors.xml"), load_model(tmp_path / "motors.xml")
+    inputs = tuple(SignalInfo(one.name, one.unit, "hold") for one in model.inputs)
+    outputs = tuple(SignalInfo(one.name, one.unit) for one in model.outputs)
+    dataset = Dataset("arm", tmp_path, "recording", inputs, outputs, tuple(trials))
+    one = one_joint(prescribed(robot, model, dataset), 1)
+    assert [each.name for each in one.model.outputs] == ["elbow_torque"]
+    options = Options(workers=1, places=False, brisk=True)
+    ((_, answer),) = _looked(prescribed(robot, model, dataset), [1], options, None, silent)
+    assert [str(cause.name) for cause in answer.causes] == ["coulomb-friction at elbow"]
+    assert answer.causes[0].values["torque"].value == pytest.approx(friction, rel=0.05)
 
 
 def test_prescribed_motion_is_no_site(tmp_path):
@@ -265,13 +295,19 @@ def test_a_simulators_own_time_step_is_no_early_clock(tmp_path):
 def test_a_motor_behind_a_gear_drives_its_joint_with_what_the_gear_makes_of_its_control(tmp_path):
     _, _, dataset = arm(tmp_path)
     servo = '<position name="elbow" joint="elbow" kp="40" kv="2"/>'
-    file = tmp_path / "geared.xml"
-    file.write_text(XML.replace(servo, '<motor name="elbow" joint="elbow" gear="48"/>'), encoding="utf-8")
-    robot, model = read_robot(file), load_model(file)
+    asked = {}
+    for gear in (1, 48):
+        file = tmp_path / f"geared-{gear}.xml"
+        file.write_text(
+            XML.replace(servo, f'<motor name="elbow" joint="elbow" gear="{gear}"/>'), encoding="utf-8"
+        )
+        robot, model = read_robot(file), load_model(file)
+        inputs = tuple(SignalInfo(one.name, one.unit) for one in model.inputs)
+        one = one_joint(prescribed(robot, model, dataclasses.replace(dataset, inputs=inputs)), 1)
+        trial = one.dataset.trials[0]
+        asked[gear] = simulate(one.model, trial.time_s, trial.inputs, initial_state=[]).outputs[:, 0]
     assert [(one.input, one.unit) for one in robot.actuators][1] == ("elbow_control", "1")
-    inputs = tuple(SignalInfo(one.name, one.unit) for one in model.inputs)
-    elbow = one_joint(prescribed(robot, model, dataclasses.replace(dataset, inputs=inputs)), 1).model
-    assert next(site.load for site in elbow.sites if site.name == "elbow") == "48.0*elbow_control"
+    np.testing.assert_allclose(48 * asked[48], asked[1])
 
 
 def test_what_cannot_be_taken_apart_is_told(tmp_path):
