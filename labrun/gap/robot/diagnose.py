@@ -33,7 +33,7 @@ IN_THE_ROBOT: Mapping[str, Mapping[str, str]] = {
 OF_THE_LOG = ("late-clock", "delay")
 """Of all goals at once: stamped late beside all angles, or followed late by them."""
 OF_A_TORQUE = ("delay", "early-clock", "lag")
-"""What a torque is not asked for at one joint alone: one that sticks brakes before it moves, which looks like a time."""
+"""What a torque is not asked for at one joint: one that sticks brakes before it moves, which looks like a time."""
 _CLOCKS = ("early-clock", "late-clock")
 """Of an encoder, and of its goals: beside the other, one is the other."""
 _NOT_LOOKED_FOR = "no cause was looked for"
