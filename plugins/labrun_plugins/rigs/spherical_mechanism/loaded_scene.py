@@ -163,13 +163,44 @@ class SpmLoad(Bench):
         return np.where((since_s >= begin_s) & (since_s < end_s), kg, 0.0)
 
 
+@kernel
+def _swung(
+    angle: float, rate: float, horn: float, horn_then: float, kg: float, kg_then: float,
+    pull: float, pull_then: float, p: Any,
+) -> tuple[float, float]:  # fmt: skip
+    """Return angle and rate of one axis a step later: ``loaded.toml``, by the classical method of order 4.
+
+    Horn, load and pull (of the second axis, negative) go straight to what they are then; `p` as of `_advanced`.
+    """
+    a, b, sum_a, sum_b = angle, rate, 0.0, 0.0
+    for stage in range(4):
+        share = 0.5 * ((stage + 1) // 2)
+        load = kg + share * (kg_then - kg)
+        aside = load * _GRAVITY * p[6] * (pull + share * (pull_then - pull))
+        topple = p[4] + load * _GRAVITY * p[5]
+        torque = p[1] * (horn + share * (horn_then - horn) - a) - p[2] * b + topple * math.sin(a) + aside
+        slope = torque / (p[3] + load * p[6] * p[6])
+        weight = 1.0 if stage in (0, 3) else 2.0
+        sum_a, sum_b = sum_a + weight * b, sum_b + weight * slope
+        reach = 0.5 * p[0] if stage < 2 else p[0]
+        a, b = angle + reach * b, rate + reach * slope
+    return angle + p[0] / 6.0 * sum_a, rate + p[0] / 6.0 * sum_b
+
+
+@kernel
+def _orientation(theta_1: float, theta_2: float) -> tuple[float, float, float, float]:
+    """Return the quaternion x, y, z, w of the end-effector."""
+    phi = -math.atan2(math.tan(theta_1), math.cos(theta_2))
+    cy, sy, cx, sx = math.cos(theta_2 / 2), math.sin(theta_2 / 2), math.cos(phi / 2), math.sin(phi / 2)
+    return cy * sx, sy * cx, -sy * sx, cy * cx
+
+
 def _advanced(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:  # noqa: ARG001
-    """One step of `SpmLoad._advance`, by the classical method of order 4.
+    """One step of `SpmLoad._advance`.
 
     State: that of the model, both horns, inputs before. Parameters: step, six of the model, play, offsets, load (kg),
     its times, the recording's start, how far the pull wanders, its phases.
     """
-    h = p[0]
     now_0, now_1 = u[2] + p[8], u[3] + p[9]
     x[4] = min(max(x[4], now_0 - p[7]), now_0 + p[7])
     x[5] = min(max(x[5], now_1 - p[7]), now_1 + p[7])
@@ -177,33 +208,11 @@ def _advanced(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:  
     load = p[10] if p[11] <= since_s < p[12] else 0.0
     turn = 2.0 * math.pi * _WANDER_HZ * t
     pull_0, pull_1 = 1.0 + p[14] * math.sin(turn + p[15]), 1.0 + p[14] * math.sin(0.83 * turn + p[16])
-    a_0, b_0, c_0, d_0 = x[0], x[1], x[2], x[3]
-    a, b, c, d = a_0, b_0, c_0, d_0
-    sum_a, sum_b, sum_c, sum_d = 0.0, 0.0, 0.0, 0.0
-    for stage in range(4):
-        share = 0.5 * ((stage + 1) // 2)
-        horn_0, horn_1 = x[6] + share * (x[4] - x[6]), x[7] + share * (x[5] - x[7])
-        kg = x[8] + share * (load - x[8])
-        aside_0 = kg * _GRAVITY * p[6] * (x[9] + share * (pull_0 - x[9]))
-        aside_1 = kg * _GRAVITY * p[6] * (x[10] + share * (pull_1 - x[10]))
-        inertia = p[3] + kg * p[6] * p[6]
-        topple = p[4] + kg * _GRAVITY * p[5]
-        rate_b = (p[1] * (horn_0 - a) - p[2] * b + topple * math.sin(a) + aside_0) / inertia
-        rate_d = (p[1] * (horn_1 - c) - p[2] * d + topple * math.sin(c) - aside_1) / inertia
-        rate_a, rate_c = b, d
-        weight = 1.0 if stage in (0, 3) else 2.0
-        sum_a, sum_b = sum_a + weight * rate_a, sum_b + weight * rate_b
-        sum_c, sum_d = sum_c + weight * rate_c, sum_d + weight * rate_d
-        reach = 0.5 * h if stage < 2 else h
-        a, b, c, d = a_0 + reach * rate_a, b_0 + reach * rate_b, c_0 + reach * rate_c, d_0 + reach * rate_d
-    x[0], x[1] = a_0 + h / 6.0 * sum_a, b_0 + h / 6.0 * sum_b
-    x[2], x[3] = c_0 + h / 6.0 * sum_c, d_0 + h / 6.0 * sum_d
+    x[0], x[1] = _swung(x[0], x[1], x[6], x[4], x[8], load, x[9], pull_0, p)
+    x[2], x[3] = _swung(x[2], x[3], x[7], x[5], x[8], load, -x[10], -pull_1, p)
     x[6], x[7], x[8], x[9], x[10] = x[4], x[5], load, pull_0, pull_1
-    theta_2 = x[2]
-    phi = -math.atan2(math.tan(x[0]), math.cos(theta_2))
-    cy, sy, cx, sx = math.cos(theta_2 / 2), math.sin(theta_2 / 2), math.cos(phi / 2), math.sin(phi / 2)
     out[0], out[1], out[2] = 0.0, 0.0, 0.0
-    out[3], out[4], out[5], out[6] = cy * sx, sy * cx, -sy * sx, cy * cx
+    out[3], out[4], out[5], out[6] = _orientation(x[0], x[2])
     out[7], out[8], out[9], out[10], out[11] = x[0], x[2], u[2], u[3], load
 
 
@@ -226,8 +235,5 @@ def _poses(angles: FloatArray) -> FloatArray:
     """Return x, y, z (0) and the quaternion x, y, z, w of the end-effector, shape (n, 7)."""
     found = np.zeros((len(angles), 7))
     for i in range(len(angles)):
-        theta_2 = angles[i, 1]
-        phi = -math.atan2(math.tan(angles[i, 0]), math.cos(theta_2))
-        cy, sy, cx, sx = math.cos(theta_2 / 2), math.sin(theta_2 / 2), math.cos(phi / 2), math.sin(phi / 2)
-        found[i, 3], found[i, 4], found[i, 5], found[i, 6] = cy * sx, sy * cx, -sy * sx, cy * cx
+        found[i, 3], found[i, 4], found[i, 5], found[i, 6] = _orientation(angles[i, 0], angles[i, 1])
     return found
