@@ -26,9 +26,10 @@ from labrun.devices import (
 )
 from labrun_plugins.ati_netft import codec, network, units
 from labrun_plugins.ati_netft.network import BoxInfo, ask_status, box_rate
+from labrun_plugins.ati_netft.pynetft_source import PynetftSource
 from labrun_plugins.ati_netft.reception import Reception
 from labrun_plugins.ati_netft.settings import AtiNetFtSettings
-from labrun_plugins.ati_netft.source import BoxSource, DatagramSocket, PynetftSource, Source
+from labrun_plugins.ati_netft.source import BoxSource, DatagramSocket, Source
 
 _RATE_TOLERANCE = 0.02
 _ENOUGH_S = 0.3
