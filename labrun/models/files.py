@@ -7,11 +7,12 @@ from labrun import registry
 from labrun.errors import LabrunError, ModelError
 from labrun.models.chains.file import chain_model
 from labrun.models.chains.model import AT_REST, ClosedChain
-from labrun.models.equations import equations_model, initial_of, read_effects
+from labrun.models.equations import equations_model
 from labrun.models.finding import GROUP, is_robot, model_file, model_files_like, shipped_models
 from labrun.models.mjcf.file import mujoco_model
 from labrun.models.mjcf.robot import read_robot
 from labrun.models.model import Model, Origin
+from labrun.models.reading import initial_of, read_effects
 from labrun.models.tables import BasedFile, ModelFile
 from labrun.toml import suggest
 

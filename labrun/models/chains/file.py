@@ -13,7 +13,8 @@ from labrun.arrays import FloatArray
 from labrun.effects import Site
 from labrun.models.chains.model import AT_REST, ClosedChain
 from labrun.models.chains.tree import CLOSED, MEASURES, OPENINGS, Tree, functions
-from labrun.models.equations import (
+from labrun.models.model import Output
+from labrun.models.reading import (
     Expressions,
     conditions_of,
     initial_of,
@@ -24,7 +25,6 @@ from labrun.models.equations import (
     read_effects,
     refuse_unused,
 )
-from labrun.models.model import Output
 from labrun.models.tables import (
     Equation,
     Finite,

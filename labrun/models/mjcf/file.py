@@ -12,7 +12,12 @@ import numpy as np
 
 from labrun.effects import Site
 from labrun.errors import ModelError
-from labrun.models.equations import (
+from labrun.models.mjcf.elements import Elements, ReferenceProblem
+from labrun.models.mjcf.model import MujocoModel, functions
+from labrun.models.mjcf.plant import MemoryPlace, MjcfLayout, imported, pack
+from labrun.models.mjcf.robot import identifier, robot_spec
+from labrun.models.model import Output, Parameter
+from labrun.models.reading import (
     SITE_QUANTITIES,
     conditions_of,
     initial_of,
@@ -24,11 +29,6 @@ from labrun.models.equations import (
     read_effects,
     refuse_unused,
 )
-from labrun.models.mjcf.elements import Elements, ReferenceProblem
-from labrun.models.mjcf.model import MujocoModel, functions
-from labrun.models.mjcf.plant import MemoryPlace, MjcfLayout, imported, pack
-from labrun.models.mjcf.robot import identifier, robot_spec
-from labrun.models.model import Output, Parameter
 from labrun.models.tables import ModelFile, MujocoFile
 from labrun.toml import Expression, ExpressionError, KeyPath, suggest
 
