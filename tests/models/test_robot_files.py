@@ -94,6 +94,12 @@ def test_of_a_servo_that_the_file_lacks_gain_braking_and_rotor_are_free(arm):
     }  # fmt: skip
 
 
+def test_a_robots_file_is_one_that_mujoco_3_reads_too(two):
+    xml = read_robot(two).xml
+    assert mujoco.MjModel.from_xml_string(xml).actuator_gainprm[0, 0] == 20.0
+    assert "input=" not in xml  # of MuJoCo 4; 3.2 says "unrecognized attribute"
+
+
 def test_a_mass_that_only_a_missing_mesh_would_tell_is_refused(tmp_path):
     (tmp_path / "a.xml").write_text(
         '<mujoco><asset><mesh name="m" file="gone.stl"/></asset><worldbody><body name="x"><joint/>'

@@ -12,7 +12,7 @@ from labrun.effects import AttachedEffect
 from labrun.errors import ModelError
 from labrun.models.mjcf.model import MujocoModel
 from labrun.models.mjcf.plant import imported, plant
-from labrun.models.mjcf.robot import robot_spec
+from labrun.models.mjcf.robot import mjcf_text, robot_spec
 from labrun.models.model import Model
 
 _KNEE = "its corner is sharp in MuJoCo"
@@ -80,7 +80,7 @@ def mjcf_of(model: Model) -> Exported:
         told = _write(spec, compiled, model, effect)
         (left if told is None else written).append(_law(effect) if told is None else told)
     spec.compile()
-    return Exported(spec.to_xml(), tuple(written), tuple(left))
+    return Exported(mjcf_text(spec), tuple(written), tuple(left))
 
 
 def _with_values(model: MujocoModel) -> Any:

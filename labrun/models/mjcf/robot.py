@@ -197,7 +197,7 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
         remarks.append(f"{model.neq} equality constraints are kept; MuJoCo holds them softly")
     return Robot(
         name=re.sub(r"[^A-Za-z0-9_-]", "-", spec.modelname or path.stem),
-        xml=spec.to_xml(),
+        xml=mjcf_text(spec),
         joints=tuple(_joint(mujoco, joint, model) for joint in simple),
         actuators=tuple(_actuator(mujoco, spec, one, wanted) for one in spec.actuators),
         remarks=tuple(remarks),
@@ -212,6 +212,14 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
             )
         },
     )
+
+
+def mjcf_text(spec: Any) -> str:
+    """Return a description as MJCF that MuJoCo 3 reads as well.
+
+    MuJoCo 4 notes with an actuator what its control means, which nothing simulated depends on and MuJoCo 3 refuses.
+    """
+    return re.sub(r'(<general [^>]*?) input="\w+"', r"\1", spec.to_xml())
 
 
 def robot_spec(path: Path) -> tuple[Any, list[str]]:
