@@ -6,7 +6,7 @@ from labrun.app.resume import resume
 from labrun.app.run import run as execute
 from labrun.errors import ExperimentError, LabrunError, RequestError, SpecError
 from labrun.objectives import Asked
-from labrun.runner.by_hand import Asking
+from labrun.runner.asking import Asking
 from labrun.spec import load_experiment
 from labrun.store import Journal, open_run
 

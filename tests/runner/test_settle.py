@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from labrun.devices import Samples
-from labrun.runner.settle import BaselineMeter, Bounds, SettleDetector, Watched, stillness
+from labrun.runner.stillness import BaselineMeter, Bounds, SettleDetector, Watched, stillness
 
 RATE_HZ = 100.0
 HOLD_S = 2.0
