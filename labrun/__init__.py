@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from labrun.app.check import check as check
     from labrun.app.compare import compare as compare
-    from labrun.app.compare import compare_units as compare_units
-    from labrun.app.compare import predict_fresh as predict_fresh
+    from labrun.app.compare_units import compare_units as compare_units
     from labrun.app.design import design as design
     from labrun.app.diagnose import diagnose as diagnose
     from labrun.app.doctor import doctor as doctor
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from labrun.app.next import plan_trials as plan_trials
     from labrun.app.next import propose_next as propose_next
     from labrun.app.open import open as open  # noqa: A004 - labrun.open is what people call
+    from labrun.app.predict_fresh import predict_fresh as predict_fresh
     from labrun.app.rank import rank as rank
     from labrun.app.report import export as export
     from labrun.app.report import report as report
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _USE_CASES = {
     "check": "check",
     "compare": "compare",
-    "compare_units": "compare",
+    "compare_units": "compare_units",
     "design": "design",
     "diagnose": "diagnose",
     "doctor": "doctor",
@@ -37,7 +37,7 @@ _USE_CASES = {
     "fit": "fit",
     "open": "open",
     "plan_trials": "next",
-    "predict_fresh": "compare",
+    "predict_fresh": "predict_fresh",
     "propose_next": "next",
     "rank": "rank",
     "report": "report",

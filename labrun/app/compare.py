@@ -1,4 +1,4 @@
-"""One thing held against another: a prediction beside data, two units of one kind, a model and data it never saw."""
+"""A prediction held against data: a model as it is stated, or another run or recording."""
 
 import json
 import math
@@ -9,11 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from labrun.app.kept import kept_folder, stem_of
-from labrun.app.question import ask, find_data, held_against, load_held, named_model
-from labrun.errors import LabrunError, RequestError
+from labrun.app.question import find_data, held_against, load_held, named_model
+from labrun.errors import RequestError
 from labrun.fit import (
     Comparison,
     Note,
@@ -25,15 +23,10 @@ from labrun.fit import (
     silent,
     told_apart,
 )
-from labrun.fit import workers as pool
-from labrun.gap import FreshTest, Question, UnitComparison
-from labrun.gap import compare_units as compare_datasets
-from labrun.gap import predict_fresh as predict
-from labrun.models import Model, load_model
+from labrun.models import Model
 from labrun.notebook import as_html
 from labrun.report.comparison import comparison_figure, comparison_json, comparison_text
 from labrun.store import all_runs, is_recording, open_run, read_recording, require_writable
-from labrun.workers import cores
 
 _NOTEBOOK_WIDTH = 100
 
@@ -140,127 +133,6 @@ def compare(
     record = json.dumps({**comparison_json(comparison), **sources}, indent=2)
     numbers.write_text(record + "\n", encoding="utf-8")
     return StoredComparison(comparison, numbers, figure)
-
-
-def compare_units(
-    first: str | Path,
-    second: str | Path,
-    *,
-    model: str | Path | None = None,
-    signals: Mapping[str, str] | None = None,
-    seed: int | None = None,
-    workers: int | None = None,
-    results: str | Path = "results",
-    workspace: str | Path = ".",
-    note: Note = silent,
-) -> UnitComparison:
-    """Say which parameter or effect differs between two units, days or gains beyond noise, and which does not.
-
-    Parameters
-    ----------
-    first, second
-        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
-    model
-        A model file or plugin; else what the first of them names. Sizes of effects it carries are compared, too.
-    signals
-        Which recorded channel is which input or output of the model; adds to the experiment's own.
-    seed
-        Of the starts; 0 if None.
-
-    Raises
-    ------
-    RequestError
-        No such data or model, the same data twice, or two that were not recorded alike.
-    """
-    folders = [find_data(one, Path(results)) for one in (first, second)]
-    if folders[0].resolve() == folders[1].resolve():
-        raise RequestError(f"{folders[0]} was named twice", hint="name the two runs or recordings to compare")
-    questions: list[Question] = []
-    for folder in folders:
-        note(f"reading {folder}")
-        source = model if model is not None else questions[0].model.source if questions else None
-        questions.append(ask(folder, source, signals=signals, workspace=Path(workspace)))
-    with pool(workers or cores()) as each:
-        return compare_datasets(
-            questions[0].dataset,
-            questions[1].dataset,
-            questions[0].model,
-            np.random.default_rng(seed or 0),
-            names=(str(first), str(second)),
-            each=each,
-            note=note,
-        )
-
-
-def predict_fresh(
-    model: str | Path,
-    fresh: str | Path,
-    *,
-    horizons_s: Sequence[float] | None = None,
-    beside: str | Path | None = None,
-    signals: Mapping[str, str] | None = None,
-    seed: int | None = None,
-    results: str | Path = "results",
-    workspace: str | Path = ".",
-    note: Note = silent,
-) -> FreshTest:
-    """Say how well a model predicts a recording that it was not fitted to, by prediction horizon.
-
-    Parameters
-    ----------
-    model
-        A model file, plugin or name, as of `compare`; a corrected one knows what it came from.
-    fresh
-        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
-    horizons_s
-        How far ahead; 0.1, 0.5 and 2 s, as far as the trials reach, if None.
-    beside
-        The model to set beside it, instead of the one it came from.
-    signals
-        Which recorded channel is which input or output of the model; adds to the experiment's own.
-    seed
-        Of the resamples; 0 if None.
-
-    Raises
-    ------
-    RequestError
-        No such data or model, data the model was corrected by, or a horizon that no trial is long enough for.
-    """
-    folder = find_data(fresh, Path(results))
-    chosen = named_model(model, Path(workspace))
-    if chosen.origin is not None and chosen.origin.data and _same(chosen.origin.data, folder):
-        raise RequestError(
-            f"{model} was corrected by {folder}: on the data of its fit it says nothing of how far it reaches",
-            hint="record the bench again, in another condition if you can, and name that with --fresh",
-        )
-    note(f"reading {folder}")
-    question = ask(folder, model, signals=signals, workspace=Path(workspace))
-    before, missing = (named_model(beside, Path(workspace)), ()) if beside is not None else _origin(chosen)
-    found = predict(
-        question.model,
-        question.dataset,
-        np.random.default_rng(seed or 0),
-        before=before,
-        horizons_s=horizons_s,
-        note=note,
-    )
-    return replace(found, notes=(*found.notes, *missing))
-
-
-def _same(one: str, other: Path) -> bool:
-    return Path(one).resolve() == other.resolve()
-
-
-def _origin(model: Model) -> tuple[Model | None, tuple[str, ...]]:
-    """Return the model that was corrected, or a sentence on why there is none beside this one."""
-    if model.origin is None:
-        return None, ("the model does not say what it came from: --beside MODEL sets another one beside it",)
-    try:
-        return load_model(model.origin.model), ()
-    except LabrunError as error:
-        return None, (
-            f"the model it came from cannot be read ({error.args[0]}): name it with --beside MODEL",
-        )
 
 
 def _by_role(

@@ -248,7 +248,7 @@ def test(
     Example:  labrun gap test corrected.toml --fresh hinge --horizon 0.1,0.5,2
     """
     with reported(as_json):
-        from labrun.app.compare import predict_fresh
+        from labrun.app.predict_fresh import predict_fresh
         from labrun.report.gap_text import fresh_text
 
         horizons_s = _numbers(horizon, "--horizon")
@@ -275,7 +275,7 @@ def compare(
     Example:  labrun gap compare recordings/arm-3 recordings/arm-7 --model corrected.toml
     """
     with reported(as_json):
-        from labrun.app.compare import compare_units
+        from labrun.app.compare_units import compare_units
         from labrun.report.gap_text import units_text
 
         with status() as note:

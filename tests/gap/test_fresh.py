@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labrun.app.compare import predict_fresh as predict_file
+from labrun.app.predict_fresh import predict_fresh as predict_file
 from labrun.errors import RequestError
 from labrun.fit import Dataset, FitTrial
 from labrun.gap import predict_fresh

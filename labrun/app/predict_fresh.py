@@ -1,0 +1,85 @@
+"""A model held against data that it never saw."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from labrun.app.question import ask, find_data, named_model
+from labrun.errors import LabrunError, RequestError
+from labrun.fit import Note, silent
+from labrun.gap import FreshTest
+from labrun.gap import predict_fresh as predict
+from labrun.models import Model, load_model
+
+
+def predict_fresh(
+    model: str | Path,
+    fresh: str | Path,
+    *,
+    horizons_s: Sequence[float] | None = None,
+    beside: str | Path | None = None,
+    signals: Mapping[str, str] | None = None,
+    seed: int | None = None,
+    results: str | Path = "results",
+    workspace: str | Path = ".",
+    note: Note = silent,
+) -> FreshTest:
+    """Say how well a model predicts a recording that it was not fitted to, by prediction horizon.
+
+    Parameters
+    ----------
+    model
+        A model file, plugin or name, as of `compare`; a corrected one knows what it came from.
+    fresh
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
+    horizons_s
+        How far ahead; 0.1, 0.5 and 2 s, as far as the trials reach, if None.
+    beside
+        The model to set beside it, instead of the one it came from.
+    signals
+        Which recorded channel is which input or output of the model; adds to the experiment's own.
+    seed
+        Of the resamples; 0 if None.
+
+    Raises
+    ------
+    RequestError
+        No such data or model, data the model was corrected by, or a horizon that no trial is long enough for.
+    """
+    folder = find_data(fresh, Path(results))
+    chosen = named_model(model, Path(workspace))
+    if chosen.origin is not None and chosen.origin.data and _same(chosen.origin.data, folder):
+        raise RequestError(
+            f"{model} was corrected by {folder}: on the data of its fit it says nothing of how far it reaches",
+            hint="record the bench again, in another condition if you can, and name that with --fresh",
+        )
+    note(f"reading {folder}")
+    question = ask(folder, model, signals=signals, workspace=Path(workspace))
+    before, missing = (named_model(beside, Path(workspace)), ()) if beside is not None else _origin(chosen)
+    found = predict(
+        question.model,
+        question.dataset,
+        np.random.default_rng(seed or 0),
+        before=before,
+        horizons_s=horizons_s,
+        note=note,
+    )
+    return replace(found, notes=(*found.notes, *missing))
+
+
+def _same(one: str, other: Path) -> bool:
+    return Path(one).resolve() == other.resolve()
+
+
+def _origin(model: Model) -> tuple[Model | None, tuple[str, ...]]:
+    """Return the model that was corrected, or a sentence on why there is none beside this one."""
+    if model.origin is None:
+        return None, ("the model does not say what it came from: --beside MODEL sets another one beside it",)
+    try:
+        return load_model(model.origin.model), ()
+    except LabrunError as error:
+        return None, (
+            f"the model it came from cannot be read ({error.args[0]}): name it with --beside MODEL",
+        )
