@@ -1,6 +1,6 @@
 """From what the search found to a diagnosis."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,6 @@ from labrun.gap.diagnosis import (
     Place,
     RatedCandidate,
     ResampledNumber,
-    Shrinkage,
     Sizes,
     Verdict,
 )
@@ -38,7 +37,7 @@ from labrun.gap.rating import Rated
 from labrun.gap.recalibration import member_residuals
 from labrun.gap.selection import Chosen
 from labrun.gap.trial_wise import remaining, words
-from labrun.gap.verdict import VerdictBasis, limitations, sentence, verdict, what_next
+from labrun.gap.verdict import VerdictBasis, limitations, may_help_nothing, sentence, verdict, what_next
 from labrun.gap.where.difference import Difference
 
 
@@ -139,39 +138,20 @@ def conclude(
     problem, noise, z = search.recalibration.problem, search.noise, search.recalibration.z
     selection, final = search.selection, search.selection.final
     floor = floor_of(search.data, noise, rng)
-    if selection.chosen:
-        # where recalibration predicts worse than what is stated, nobody would recalibrate
-        before = min(search.held_out.gap, search.raw.gap)
-        sizes = Sizes(search.raw.gap, before, selection.held_out.gap, floor)
-    else:  # nothing to compare on withheld conditions, where extrapolated parameters alone would leave a gap
-        sizes = Sizes(search.raw.gap, search.recalibrated.gap, search.recalibrated.gap, floor)
-    shrunk: Shrinkage | None = None
-    if selection.chosen:
-        shrunk = shrinkage(search.data, noise, search.held_out, selection.held_out, rng)
-    kinds = [one.name.kind for one in selection.chosen]
-    settled = noise.known and shrunk is not None and shrunk.low > 0.0
-    findings = VerdictBasis(
-        sizes,
-        search.recalibrated.gap > floor,
-        fitted_excess(final.problem, final.z, noise).gap > floor,
-        noise.known,
-        kinds.count("effect"),
-        kinds.count("parameter"),
-        shrunk,
-        BeyondScatter() if settled else beyond_scatter(final.problem, final.z, noise),
-        len(dataset.trials),
-    )
+    findings = _basis(search, selection.chosen, floor, rng)
+    unproven = may_help_nothing(findings)
+    if unproven:
+        without = _basis(search, (), floor, rng)
+        # causes that leave none of what is plainly no noise are proven by that
+        unproven = findings.left_is_gap or not without.left_is_gap
+    unannounced = _unannounced(selection.chosen, findings) if unproven else ()
+    findings = without if unproven else findings
+    sizes, shrunk = findings.sizes, findings.shrinkage
     decided = verdict(findings)
-    if (
-        shrunk is not None and not noise.known
-    ):  # what cannot be learned of the rest may be noise, and no gap that is left
-        shrunk = replace(shrunk, high=max(shrunk.high, findings.known_share + criteria.FORM_ERROR))
     moved = scatter(final, search.null.draws(final))
-    announced = decided not in ("no-gap", "undecided", "not-in-library") and not findings.unproven
+    announced = decided not in ("no-gap", "undecided", "not-in-library") and not unproven
     causes = causes_of(search, dataset, moved) if announced else ()
     doubts = [[rival.candidate.name for rival in one.doubts] for one in selection.chosen if announced]
-    if findings.unproven:
-        sizes = replace(sizes, recalibrated=search.recalibrated.gap, after=search.recalibrated.gap)
     learnable = None
     asked = search.candidates and (not causes or findings.remains)
     if asked and not any(one.followed for one in problem.model.outputs):
@@ -214,7 +194,7 @@ def conclude(
             conditions=len(search.data.conditions),
             noise_known=noise.known,
             differs=differs,
-            rest=decided == "explained" and findings.rest,
+            rest=findings.left_is_gap,
         ),
         gap=sizes,
         where=found,
@@ -242,7 +222,7 @@ def conclude(
             *search.notes,
             *problem.model.notes,
             *search.remarks,
-            *_unannounced(search, findings),
+            *unannounced,
         ),
         what_next=tuple(what_next(decided, causes, doubts, repeats=repeats)),
         channels=channels,
@@ -274,11 +254,39 @@ def _enough_repeats(search: Search) -> bool:
     return search.noise.freedom >= criteria.ENOUGH_FREEDOM and most >= criteria.OWN_FLOOR_REPEATS
 
 
-def _unannounced(search: Search, found: VerdictBasis) -> tuple[str, ...]:
+def _basis(search: Search, chosen: Sequence[Chosen], floor: float, rng: np.random.Generator) -> VerdictBasis:
+    """Return what a verdict is made from: with the causes that were chosen, or without any."""
+    noise, end = search.noise, search.selection.final if chosen else search.recalibration
+    if chosen:
+        # where recalibration predicts worse than what is stated, nobody would recalibrate
+        before = min(search.held_out.gap, search.raw.gap)
+        sizes = Sizes(search.raw.gap, before, search.selection.held_out.gap, floor)
+        shrunk = shrinkage(search.data, noise, search.held_out, search.selection.held_out, rng)
+    else:  # nothing to compare on withheld conditions, where extrapolated parameters alone would leave a gap
+        sizes = Sizes(search.raw.gap, search.recalibrated.gap, search.recalibrated.gap, floor)
+        shrunk = None
+    remains = fitted_excess(end.problem, end.z, noise).gap > floor
+    kinds = [one.name.kind for one in chosen]
+    basis = VerdictBasis(
+        sizes,
+        remains,
+        noise.known,
+        kinds.count("effect"),
+        kinds.count("parameter"),
+        shrunk,
+        beyond_scatter(end.problem, end.z, noise) if remains else BeyondScatter(),
+        len(search.dataset.trials),
+    )
+    if shrunk is None:
+        return basis
+    return replace(basis, shrinkage=replace(shrunk, high=basis.most_removed))
+
+
+def _unannounced(chosen: Sequence[Chosen], found: VerdictBasis) -> tuple[str, ...]:
     """Return what is said of causes that are not announced."""
-    if not found.unproven or found.shrinkage is None:
+    if found.shrinkage is None:
         return ()
-    names = " and ".join(str(one.name) for one in search.selection.chosen)
+    names = " and ".join(str(one.name) for one in chosen)
     return (
         f"{names} fits the recorded trials, but on withheld conditions it removes {100 * found.shrinkage.value:.0f} % "
         f"[{100 * found.shrinkage.low:.0f}, {100 * found.shrinkage.high:.0f}] of the gap, which may be nothing: "

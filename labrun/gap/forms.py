@@ -108,9 +108,9 @@ def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screene
 
 
 def sharpened(base: Base, chosen: Screened, threshold: NoiseThreshold, noise_share: float) -> Screened:
-    """Return a chosen cause with the sharpness of its sign fitted, if that explains clearly more of what it leaves.
+    """Return a chosen cause with its shape fitted, if that explains clearly more of what it leaves.
 
-    Beside it, what the usual sharpness leaves would be taken for a cause of its own.
+    Beside it, what the usual sharpness or exponent leaves would be taken for a cause of its own.
 
     Parameters
     ----------
@@ -121,9 +121,7 @@ def sharpened(base: Base, chosen: Screened, threshold: NoiseThreshold, noise_sha
     """
     usual = chosen if chosen.usual is None else chosen.usual
     attached = usual.candidate.attached
-    if attached is None or not any(
-        one.shape and one.quantity == "rate" for one in attached.effect.parameters
-    ):
+    if attached is None or not any(one.shape for one in attached.effect.parameters):
         return chosen
     in_these_units = replace(base, problem=base.problem.with_noise(chosen.problem.noise), brisk=False)
     end = _shape_fitted(in_these_units, chosen, noise_share * chosen.squares, usual.candidate)
@@ -132,6 +130,14 @@ def sharpened(base: Base, chosen: Screened, threshold: NoiseThreshold, noise_sha
     earned = of_what_is_left.log_likelihood(max(chosen.squares - end.squares, 0.0))
     needed = criteria.SHAPE_PRICE * (end.candidate.variables - chosen.candidate.variables)
     return replace(end, usual=usual) if earned >= needed else chosen
+
+
+def of_a_sign(screened: Screened) -> bool:
+    """Tell whether a candidate's shapes are those of a sign: how sharply a friction turns."""
+    attached = (screened.usual or screened).candidate.attached
+    return attached is not None and any(
+        one.shape and one.quantity == "rate" for one in attached.effect.parameters
+    )
 
 
 def _shape_fitted(base: Base, screened: Screened, floor: float, usual: Candidate | None = None) -> Screened:

@@ -10,7 +10,7 @@ from labrun.fit import Each, Note, Problem
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, without
 from labrun.gap.diagnosis import Name
-from labrun.gap.forms import best_form, sharpened
+from labrun.gap.forms import best_form, of_a_sign, sharpened
 from labrun.gap.held_out import ExcessResidual, fitted_excess, held_out_excess
 from labrun.gap.intervals import may_be_nothing, scatter
 from labrun.gap.learnable import learnable_share
@@ -229,7 +229,8 @@ class Selector:
             )
         if not chosen or self._share(chosen[-1].held_out) < needed:
             return Selection([first], (), self.base, self.reference)
-        return Selection(rounds, tuple(chosen), chosen[-1].base, chosen[-1].held_out)
+        telling = sorted(chosen, key=lambda one: -one.rated.evidence)
+        return Selection(rounds, tuple(telling), chosen[-1].base, chosen[-1].held_out)
 
     def _share(self, left: ExcessResidual) -> float:
         return 1.0 - left.total / self.reference.total if self.reference.total > 0 else 0.0
@@ -425,16 +426,19 @@ class Selector:
         fitted = replace(best.screened, problem=problem, z=z, squares=problem.squares(z))
         noise_share = min(current.threshold.floor / best.screened.squares, 1.0)
         sharp = sharpened(current.base, fitted, current.threshold, noise_share)
-        if sharp is not fitted:
-            problem = in_units_of(self.noise, sharp.problem, sharp.z)
-            z = refit(problem, sharp.z)
-            best = replace(best, screened=sharp)
         if self.null.relative or sharp is not fitted:
             # in units of what it leaves, folds are fitted as closely as that; in those it was rated in, what is stated
             # of parameters holds them
-            again = held_out_excess(problem, z, self.noise)
-            if sharp is not fitted or again.total < best.held_out.total:
-                best = replace(best, held_out=again)
+            usual = held_out_excess(problem, z, self.noise)
+            if usual.total < best.held_out.total:
+                best = replace(best, held_out=usual)
+        if sharp is not fitted:
+            units = in_units_of(self.noise, sharp.problem, sharp.z)
+            end = refit(units, sharp.z)
+            left = held_out_excess(units, end, self.noise)
+            # else another cause may bend the shape: the drag of an arm that rubs took another exponent for friction
+            if of_a_sign(sharp) or left.total < criteria.AS_GOOD * best.held_out.total:
+                best, problem, z = replace(best, screened=sharp, held_out=left), units, end
         base = self._based(problem, z, (*current.base.added, best.candidate))
         return Chosen(best, rivals, weight, base, best.held_out)
 

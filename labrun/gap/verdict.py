@@ -14,8 +14,8 @@ class VerdictBasis:
 
     Attributes
     ----------
-    significant
-        Whether the recalibrated gap is beyond what noise leaves; `remains` the same of what the causes leave.
+    remains
+        Whether what is left, by the causes or without any, is beyond what noise leaves.
     noise_known
         Whether noise is told from gap: by repeats, or by reading errors that are stated.
     effects, parameters
@@ -27,91 +27,80 @@ class VerdictBasis:
     """
 
     sizes: Sizes
-    significant: bool
     remains: bool
     noise_known: bool
-    effects: int
-    parameters: int
-    shrinkage: Shrinkage | None
+    effects: int = 0
+    parameters: int = 0
+    shrinkage: Shrinkage | None = None
     beyond_scatter: BeyondScatter = field(default_factory=BeyondScatter)
     trials: int = 1
+
+    @property
+    def left_is_gap(self) -> bool:
+        """Whether what is left is plainly no noise.
+
+        Its kind says so: motion and inputs predict it, or its spectrum has lines. Or its size: where repeats tell the
+        noise, far above what that leaves; without them, more than any sensor adds.
+        """
+        if not self.remains or self.sizes.after < criteria.SMALL_GAP_UNEXPLAINED:
+            return False
+        if self.beyond_scatter.learnable >= criteria.LEARNABLE or self._has_lines:
+            return True
+        if not self.noise_known:
+            return self._of_no_sensor
+        # what is no more than noise beyond scatter: new beams, another mounting
+        far_above = self.sizes.after >= criteria.FAR_ABOVE_FLOOR * self.sizes.floor
+        return far_above and self.beyond_scatter.size > 1.0
+
+    @property
+    def _has_lines(self) -> bool:
+        return self.beyond_scatter.chance_of_lines <= criteria.CHANCE_OF_LINES
+
+    @property
+    def _of_no_sensor(self) -> bool:
+        return self.beyond_scatter.size >= criteria.NO_SENSORS_NOISE and self.trials > 1
 
     @property
     def known_share(self) -> float:
         """Share that the causes remove of what is known to be no noise; of all the excess where noise is known."""
         share = 0.0 if self.shrinkage is None else self.shrinkage.value
-        if self.noise_known:
-            return share
-        left = (1.0 - share) * self.beyond_scatter.learnable
+        whole = self.noise_known or self._has_lines or self._of_no_sensor
+        left = (1.0 - share) * (1.0 if whole else self.beyond_scatter.learnable)
         return share / (share + left) if share + left > 0 else 0.0
 
     @property
-    def rest(self) -> bool:
-        """Whether causes that explain the gap leave a rest of it that is plainly more than noise."""
-        if not self.noise_known:
-            return self.beyond_scatter.learnable >= criteria.LEARNABLE and self.sizes.after >= 1.0
-        least = max(criteria.BEYOND_FLOOR * self.sizes.floor, criteria.SMALL_GAP_UNEXPLAINED)
-        return self.remains and self.sizes.after >= least
+    def most_removed(self) -> float:
+        """Upper end of that share: what cannot be told from noise may be no gap that is left."""
+        high = 0.0 if self.shrinkage is None else self.shrinkage.high
+        return high if self.noise_known else max(high, self.known_share + criteria.FORM_ERROR)
 
-    @property
-    def unproven(self) -> bool:
-        """Whether causes were found whose help on withheld conditions cannot be told from none at all."""
-        share = self.shrinkage
-        if self.effects + self.parameters == 0 or share is None or share.low > 0.0:
-            return False
-        proven = share.value >= criteria.PROVEN_SHARE and share.high < criteria.OF_NOTHING
-        return not (self.noise_known and proven)
+
+def may_help_nothing(found: VerdictBasis) -> bool:
+    """Tell whether the share that causes remove of withheld conditions cannot be told from none."""
+    return found.shrinkage is not None and found.shrinkage.low <= 0.0
 
 
 def verdict(found: VerdictBasis) -> Verdict:
-    """Return the verdict."""
-    if found.unproven or found.effects + found.parameters == 0 or found.shrinkage is None:
-        if found.significant and _unexplained(found):
+    """Return the verdict.
+
+    Causes that leave a plain gap are impostors if no resample of the conditions has them explain nearly all of it.
+    """
+    if found.effects + found.parameters == 0:
+        if found.left_is_gap:
             return "not-in-library"
-        plainly_left = not found.noise_known and found.sizes.recalibrated >= criteria.LARGE_REMAINDER
+        plainly_left = not found.noise_known and found.sizes.after >= criteria.LARGE_REMAINDER
         if _recalibration_helps(found.sizes) and not plainly_left:
             return "parameter"
-        return "no-gap" if found.noise_known or not found.significant else "undecided"
-    plain = found.sizes.after >= max(criteria.FAR_ABOVE_FLOOR * found.sizes.floor, 1.0)
-    if not found.noise_known:
-        plain, least, whole = (
-            found.beyond_scatter.learnable >= criteria.LEARNABLE,
-            criteria.IMPOSTOR_SHARE,
-            criteria.WHOLE_SHARE,
-        )
-        impostor = found.known_share < least
-    else:
-        least = next(
-            (share for size, share in criteria.DOUBTFUL_SHARES if found.sizes.after >= size),
-            criteria.IMPOSTOR_SHARE,
-        )
-        impostor = found.shrinkage.value < least and found.shrinkage.high < least + criteria.IMPOSTOR_ROOM
-        whole = criteria.NEARLY_ALL if found.sizes.after >= criteria.LARGE_REMAINDER else criteria.WHOLE_SHARE
-    # a parameter's form is the model's own: what it plainly leaves has another cause
-    plain = found.remains and plain
-    if impostor and found.remains and (found.effects or plain):
+        return "no-gap" if found.noise_known or not found.remains else "undecided"
+    if found.left_is_gap and found.most_removed < criteria.WHOLE_SHARE:
         return "not-in-library"
     if found.effects == 0:
-        return "partly-explained" if plain else "parameter"
-    return "explained" if found.known_share >= whole or not found.remains else "partly-explained"
-
-
-def _unexplained(found: VerdictBasis) -> bool:
-    """Tell whether there is a gap without a cause: plainly more than noise, or at least no noise by its kind."""
-    left = found.beyond_scatter
-    learnable = left.learnable >= criteria.LEARNABLE
-    if not found.noise_known:
-        lines = left.chance_of_lines <= criteria.CHANCE_OF_LINES and left.size >= 1.0
-        large = left.size >= criteria.NO_SENSORS_NOISE and found.trials > 1
-        return (learnable or lines or large) and found.sizes.recalibrated >= 1.0
-    if left.size <= 1.0 and not learnable:
-        return False  # scatter of parameters from condition to condition: new beams, another mounting
-    floor = found.sizes.floor
-    if found.sizes.recalibrated >= max(criteria.FAR_ABOVE_FLOOR * floor, criteria.SMALL_GAP_UNEXPLAINED):
-        return True
-    # slow noise has few independent numbers a trial: the mean of a few repeats is then above the floor by chance
-    small = max(criteria.BEYOND_FLOOR * floor, criteria.SMALL_GAP_UNEXPLAINED)
-    return found.sizes.recalibrated >= small and learnable
+        # a parameter's form is the model's own: what it plainly leaves has another cause
+        return "partly-explained" if found.left_is_gap else "parameter"
+    large = found.noise_known and found.sizes.after >= criteria.LARGE_REMAINDER
+    whole = criteria.NEARLY_ALL if large else criteria.WHOLE_SHARE
+    explained = found.known_share >= whole or not found.remains
+    return "explained" if explained else "partly-explained"
 
 
 def _recalibration_helps(sizes: Sizes) -> bool:
@@ -157,17 +146,25 @@ def sentence(
     unit = "one trial's noise" if noise_known else "the noise of a sample"
     removed = "" if shrinkage is None else f" {100 * shrinkage.value:.0f} %"
     if causes:
-        said = _of_causes(verdict, sizes, causes, removed, unit, conditions=conditions, sure=noise_known)
-        return f"{said[:-1]}; that rest is more than noise: {_OTHER_FORM}." if rest else said
+        said = _of_causes(
+            verdict, sizes, causes, removed, unit, conditions=conditions, sure=noise_known or rest
+        )
+        more = rest and verdict == "explained"
+        return f"{said[:-1]}; that rest is more than noise: {_OTHER_FORM}." if more else said
     if verdict == "no-gap":
         return _of_noise(recalibrated, unit, sizes)
+    small = sizes.recalibrated < 1.0  # in units of what a sensor adds
     if verdict == "undecided":
         return (
-            f"Nothing that was tried explains what is left ({recalibrated} times {unit}): it is a gap, or disturbances "
-            "that repeats would show."
+            f"No gap that stands out of noise: what model and measurement differ by ({recalibrated} times {unit}) may "
+            "be noise alone; repeats would tell."
+            if small
+            else f"Nothing that was tried explains what is left ({recalibrated} times {unit}): it is a gap, or "
+            "disturbances that repeats would show."
         )
     if verdict == "parameter":
-        end = "nothing is missing" if noise_known else "nothing that was tried explains the rest"
+        unexplained = "the rest may be noise" if small else "nothing that was tried explains the rest"
+        end = "nothing is missing" if noise_known else unexplained
         return (
             f"Parameters explain it: recalibrated within what is known of them, the gap falls from {raw} to "
             f"{recalibrated} times {unit}, and {end}."

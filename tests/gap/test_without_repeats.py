@@ -56,6 +56,22 @@ coordinate = "position"
 rate = "speed"
 stiffness = "stiffness"
 """
+DAMPED_SPRING = """
+name = "damped-spring"
+inputs = ["position", "speed"]
+[parameters]
+stiffness = { value = 1000.0, tolerance = "free", unit = "N/m" }
+damping   = { value = 20.0,   tolerance = "free", unit = "N s/m" }
+lift      = { value = 29.0,   tolerance = 0.05,   unit = "N s/m" }
+[outputs]
+force = { equation = "stiffness*position + damping*speed - force.spring", unit = "N" }
+side = { equation = "lift*speed", unit = "N" }
+[sites.spring]
+kind = "joint"
+coordinate = "position"
+rate = "speed"
+stiffness = "stiffness"
+"""
 
 
 @given(st.floats(0.01, 0.98), st.floats(1e-6, 1e6))
@@ -260,6 +276,26 @@ def test_a_loop_of_another_shape_is_one_hysteresis_and_no_second_cause_beside_it
     # the library's loop reaches 2/(1 + gamma) in units of its force
     assert found.causes[0].values["force"].value == pytest.approx(2.5 * 1.8 / 2, rel=0.03)
     assert found.causes[0].values["gamma_over_beta"].value == pytest.approx(0.8, abs=0.1)
+
+
+def test_drag_of_another_exponent_is_told_by_it_beside_an_output_that_lacks_nothing() -> None:
+    """A damped spring whose force lacks drag of exponent 1.8, and a side force as modelled, whose noise counts too."""
+    rng = np.random.default_rng(6)
+    time_s = np.arange(0.0, 8.0, 0.01)
+    trials = []
+    for group, (amplitude_m, per_s) in enumerate(((0.02, 3.0), (0.03, 5.0), (0.04, 4.0), (0.05, 6.0))):
+        position, speed = amplitude_m * np.sin(per_s * time_s), amplitude_m * per_s * np.cos(per_s * time_s)
+        force = 1000.0 * position + 14.0 * speed + 60.0 * np.abs(speed) ** 0.8 * speed
+        outputs = np.column_stack([force, 30.0 * speed]) + 0.02 * rng.standard_normal((len(time_s), 2))
+        inputs = np.column_stack([position, speed])
+        trials.append(FitTrial(f"{group}", {"test": group}, group + 1, time_s, inputs, outputs))
+    inputs_are = SignalInfo("position", "m", "linear"), SignalInfo("speed", "m/s", "linear")
+    outputs_are = SignalInfo("force", "N", "linear"), SignalInfo("side", "N", "linear")
+    data = Dataset("spring", Path("spring"), "recording", inputs_are, outputs_are, tuple(trials))
+    found = diagnose_dataset(data, parse_model(DAMPED_SPRING, "spring.toml"), QUICK)
+    (drag,) = found.causes
+    assert drag.name.effect == "quadratic-drag"
+    assert drag.values["exponent"].value == pytest.approx(1.8, abs=0.02)
 
 
 @pytest.mark.slow

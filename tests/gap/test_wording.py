@@ -53,16 +53,29 @@ def test_a_rest_beyond_noise_is_said_beside_a_cause_that_explains_the_gap() -> N
     sizes = Sizes(12.0, 10.0, 1.0, 0.1)
     told = sentence("explained", sizes, CAUSES, Shrinkage(0.98, 0.9, 1.0), None, conditions=4, rest=True)
     assert told.endswith("that rest is more than noise: nature's form may be another one, or there is more.")
-    plain = VerdictBasis(sizes, True, True, True, 1, 0, Shrinkage(0.98, 0.9, 1.0))
-    assert plain.rest
-    assert not replace(plain, sizes=Sizes(12.0, 10.0, 0.12, 0.1)).rest
-    assert not replace(plain, noise_known=False).rest
-    assert replace(
-        plain, noise_known=False, beyond_scatter=BeyondScatter(0.5)
-    ).rest  # what a regression predicts is no noise
+    plain = VerdictBasis(sizes, True, True, 1, 0, Shrinkage(0.98, 0.9, 1.0), BeyondScatter(size=2.0))
+    assert plain.left_is_gap
+    assert not replace(plain, sizes=Sizes(12.0, 10.0, 0.12, 0.1)).left_is_gap
+    unrepeated = replace(plain, noise_known=False)
+    assert not unrepeated.left_is_gap
+    assert replace(unrepeated, beyond_scatter=BeyondScatter(0.5)).left_is_gap  # what is predicted is no noise
 
 
 def test_a_gap_above_the_floor_that_is_called_noise_is_not_said_to_be_below_it() -> None:
     told = sentence("no-gap", Sizes(0.9, 0.79, 0.79, 0.39), (), None, None, conditions=4)
     assert "0.79 times one trial's noise, more than repeats let expect (0.39)" in told
     assert "up to" in sentence("no-gap", Sizes(0.9, 0.3, 0.3, 0.39), (), None, None, conditions=4)
+
+
+def test_what_may_be_noise_alone_is_not_told_as_a_gap_that_nothing_explains() -> None:
+    small, plain = Sizes(0.5, 0.44, 0.44, 0.2), Sizes(5.0, 4.4, 4.4, 0.2)
+    assert sentence("undecided", small, (), None, None, conditions=4, noise_known=False).startswith(
+        "No gap that stands out of noise: what model and measurement differ by (0.44 times the noise of a sample)"
+    )
+    assert "it is a gap, or disturbances" in sentence(
+        "undecided", plain, (), None, None, conditions=4, noise_known=False
+    )
+    calibrated = sentence(
+        "parameter", replace(small, raw=9.0), (), None, None, conditions=4, noise_known=False
+    )
+    assert calibrated.endswith("0.44 times the noise of a sample, and the rest may be noise.")
