@@ -94,6 +94,16 @@ def test_of_a_servo_that_the_file_lacks_gain_braking_and_rotor_are_free(arm):
     }  # fmt: skip
 
 
+def test_a_last_body_that_is_balanced_about_its_joint_takes_no_load(tmp_path):
+    (tmp_path / "turret.xml").write_text(
+        '<mujoco><worldbody><body name="x"><joint name="j" axis="0 0 1"/>'
+        '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>'
+    )
+    names = [one.name for one in load_model(tmp_path / "turret.xml").parameters]
+    assert "x_mass" in names
+    assert "tip_load" not in names
+
+
 def test_a_robots_file_is_one_that_mujoco_3_reads_too(two):
     xml = read_robot(two).xml
     assert mujoco.MjModel.from_xml_string(xml).actuator_gainprm[0, 0] == 20.0

@@ -51,7 +51,8 @@ def around(xml: str, masses: Mapping[str, str]) -> tuple[list[str], dict[str, st
         equations |= _in_proportion(model, name, mass_of)
     body = tip_body(model)
     name = (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or "") if body else ""
-    if name in masses:
+    # MuJoCo keeps a body that is balanced about its joint so: nothing can hang on it
+    if name in masses and not model.body_simple[body]:
         mass = float(model.body_mass[body])
         low = (_LEAST_MASS - 1.0) * mass
         parameters.append(f'{LOAD} = {{ value = 0.0, tolerance = 0.0, unit = "kg", lower = {low!r} }}')
