@@ -35,6 +35,9 @@ _COARSE = 0.5
 """Fewer different numbers than this share of the samples, and a sensor's steps are coarser than its noise."""
 _OFTEN = 0.02
 """So is one that repeats a number more often than this where it is not frozen: friction holds joints still."""
+_NOISE_STEPS, _NOISE_WANDERS = 12.0, 0.5
+"""A joint never moved whose span is at most so many median steps (noise: about 8) and whose means over a rest's length
+span at most that part of it (0.2)."""
 _JUMP = 2.0
 """A coarse sensor was frozen if it goes on with a step so many times its fastest ones."""
 
@@ -307,9 +310,9 @@ def cut(table: LogTable, every_s: float | None, bad: Sequence[Piece]) -> tuple[l
             table, [part for piece in pieces for part in _evenly(table, piece, every_s)]
         ), f"every {every_s:g} s"
     rests = _rests(table)
-    at_rest = [part for piece in pieces for part in _between_rests(table, piece, rests)]
-    if len(at_rest) > len(pieces):
-        return _kept(table, at_rest), f"at rests of {REST_S:g} s and more"
+    at_rest = _kept(table, [part for piece in pieces for part in _between_rests(table, piece, rests)])
+    if len(at_rest) > len(_kept(table, pieces)):
+        return at_rest, f"at rests of {REST_S:g} s and more"
     if max(table.time_s[piece.end - 1] - table.time_s[piece.first] for piece in pieces) > LONG_S:
         parts = [part for piece in pieces for part in _evenly(table, piece, CUT_S)]
         return _kept(table, parts), f"every {CUT_S:g} s, as it has no rests"
@@ -329,6 +332,8 @@ def _rests(table: LogTable) -> list[Piece]:
             continue
         noise = float(np.median(np.abs(np.diff(course)))) if match.wanted.kind == "output" else 0.0
         windows = np.lib.stride_tricks.sliding_window_view(course, min(width, len(course)))
+        if span <= _NOISE_STEPS * noise and np.ptp(windows.mean(axis=1)) <= _NOISE_WANDERS * span:
+            continue  # a joint that never moves shows its noise only: it rests all the time
         calm = np.ptp(windows, axis=1) <= max(0.01 * span, min(6 * noise, 0.03 * span))
         covered = np.zeros(len(course), dtype=bool)
         for first in np.flatnonzero(calm):

@@ -318,6 +318,27 @@ def test_a_log_is_cut_as_asked(tmp_path, arm, seconds, trials):
     assert load_model(made.folder / "model.toml").initial["shoulder_rate"] == "free"
 
 
+def test_a_joint_that_never_moves_hides_no_rest_of_the_others(tmp_path, arm):
+    time_s, goals, angles = logs.motion()
+    goals[:, 1], angles[:, 1] = 0.0, 1e-3 * np.random.default_rng(2).standard_normal(len(time_s))
+    made = import_log(logs.write_csv(tmp_path / "a.csv", time_s, goals, angles), arm, tmp_path / "one")
+    assert made.trials == 3
+    assert "cut at rests of 0.5 s and more" in made.remarks
+
+
+def test_a_long_log_with_one_rest_only_is_cut_all_the_same(tmp_path, arm):
+    rng = np.random.default_rng(4)
+    time_s = np.arange(0, 40, 1 / logs.RATE_HZ)
+    moving = 0.5 * np.sin(np.pi * np.maximum(time_s - 0.8, 0.0)) + 0.3 * np.clip(1 - 10 * time_s, 0, 1)
+    angles = np.column_stack([moving, -moving]) + 1e-3 * rng.standard_normal((len(time_s), 2))
+    goals = np.column_stack([moving, -moving]) + 1e-4 * rng.standard_normal(
+        (len(time_s), 2)
+    )  # as a leader arm's
+    made = import_log(logs.write_csv(tmp_path / "a.csv", time_s, goals, angles), arm, tmp_path / "one")
+    assert made.trials == 4
+    assert "cut every 10 s, as it has no rests" in made.remarks
+
+
 URDF = (
     '<robot name="arm"><link name="base"/><link name="upper"><inertial><origin xyz="0 0 -0.1"/><mass value="0.5"/>'
     '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>'
