@@ -62,7 +62,7 @@ def test_a_control_means_what_the_actuators_force_says(two):
 def test_included_files_are_read_and_what_is_left_out_is_said(two):
     robot = read_robot(two)
     said = " ".join(robot.remarks)
-    for words in ("1 mesh is missing", "contacts are switched off", "1 equality constraints are kept"):
+    for words in ("1 mesh is missing", "contacts are switched off", "1 equality constraint is kept"):
         assert words in said
     assert load_model(two).values[0] == pytest.approx(3.0)  # the damping of the included defaults
     assert "not-there" not in robot.xml

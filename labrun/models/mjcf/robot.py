@@ -194,7 +194,8 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
             remarks.append(f"{', '.join(names)}: the file has no actuator there; {words} was added")
     model = _compile(spec, path)
     if model.neq:
-        remarks.append(f"{model.neq} equality constraints are kept; MuJoCo holds them softly")
+        kept = "1 equality constraint is" if model.neq == 1 else f"{model.neq} equality constraints are"
+        remarks.append(f"{kept} kept; MuJoCo holds them softly")
     return Robot(
         name=re.sub(r"[^A-Za-z0-9_-]", "-", spec.modelname or path.stem),
         xml=mjcf_text(spec),
