@@ -1,6 +1,7 @@
 """A robot diagnosed joint by joint: its lines in a terminal, its page, and its figure."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,11 @@ from labrun.report.text import aligned, listed, number, percent, short_time_text
 
 _ALONE = {"parameter": "none: recalibrated", "no-gap": "none"}
 """What stands at a joint without a cause where the file's physics is enough."""
+_OF_THE_WHOLE: Mapping[str, Mapping[str, str]] = {
+    "gravity-tilt": {"roll": "rad", "pitch": "rad"},
+    "payload": {"mass": "kg", "x": "m", "y": "m", "z": "m"},
+}
+"""Effects that the whole robot has and single joints tell, with units: at one joint their sizes are ratios."""
 
 
 def cause_words(cause: Cause) -> str:
@@ -30,6 +36,29 @@ def cause_words(cause: Cause) -> str:
 def moved_words(one: JointDiagnosis) -> str:
     """Return which parameters of a joint are far from what is stated, and that they explain it; "" if none is."""
     return ", ".join(f"{name} {100 * (by - 1):+.2g} %" for name, by in one.moved.items())
+
+
+def sizes_of(cause: Cause) -> str:
+    """Return the sizes of what was found at a joint, with their intervals and units."""
+    units = _OF_THE_WHOLE.get(cause.name.effect, {})
+    values = {name: replace(one, unit=units.get(name, one.unit)) for name, one in cause.values.items()}
+    return "; ".join(value_words(values))
+
+
+def size_lines(found: RobotDiagnosis) -> list[str]:
+    """Return a line of sizes for each cause at each joint, and one for what the robot as a whole has."""
+    lines = []
+    for one in found.joints:
+        for cause in one.diagnosis.causes:
+            whole = cause.name.effect in _OF_THE_WHOLE
+            told = f"{cause_words(cause)}, told by {one.joint.name}" if whole else cause.name.words
+            lines.append(f"{told}: {sizes_of(cause)}")
+    for effect, _, values in found.whole:
+        if units := _OF_THE_WHOLE.get(effect):
+            sizes = ", ".join(f"{name} {number(value, 3)} {units[name]}" for name, value in values.items())
+            where = ", in the frame of the last body" if "x" in values else ""
+            lines.append(f"{effect.replace('-', ' ')} of the whole robot: {sizes}{where}")
+    return lines
 
 
 def joint_rows(found: RobotDiagnosis) -> list[list[str]]:
@@ -51,11 +80,7 @@ def robot_lines(found: RobotDiagnosis, files: Mapping[str, Path] | None = None) 
     """Return the verdict, a line a joint, the sizes of what was found, and what was written."""
     heads = ["joint", "cause", "sure", "gap", "with cause", "stated", "recalibrated", "corrected"]
     lines = [found.sentence, "", *aligned([heads, *joint_rows(found)])]
-    sizes = [
-        f"{cause.name.words}: {'; '.join(value_words(cause.values))}"
-        for one in found.joints
-        for cause in one.diagnosis.causes
-    ]
+    sizes = size_lines(found)
     lines += ["", *sizes] if sizes else []
     lines += found.remarks
     joints = "joint" if len(found.joints) == 1 else "joints"
@@ -92,7 +117,7 @@ def robot_page(found: RobotDiagnosis) -> str:
 
 def _section(one: JointDiagnosis) -> Mapping[str, Any]:
     diagnosis = one.diagnosis
-    lines = [f"{cause_words(cause)}: {'; '.join(value_words(cause.values))}" for cause in diagnosis.causes]
+    lines = [f"{cause_words(cause)}: {sizes_of(cause)}" for cause in diagnosis.causes]
     for cause in diagnosis.causes:
         rivals = listed([name.words for name in cause.indistinguishable_from], "or")
         lines += [f"These data cannot tell {cause.name.words} from {rivals}."] if rivals else []
