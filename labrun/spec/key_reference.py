@@ -75,6 +75,17 @@ def keys_at(path: str = "") -> list[Key]:
     return _below(Experiment, "", parts)
 
 
+def _in_tables(fields: dict[str, Any], path: str) -> list[str]:
+    """Return where tables of the top have a key that was asked for without its table."""
+    inner = {table: _model_within(field.annotation)[0] for table, field in fields.items()}
+    name = path.partition(".")[0]
+    return [
+        f"{table}.{path}"
+        for table, model in inner.items()
+        if model is not None and name in dict(_fields(model))
+    ]
+
+
 def _below(model: type[BaseModel], where: str, parts: list[str]) -> list[Key]:
     """Return the keys of a table, or of what `parts` leads to in it."""
     if not parts:
@@ -83,7 +94,9 @@ def _below(model: type[BaseModel], where: str, parts: list[str]) -> list[Key]:
     fields = dict(_fields(model))
     if name not in fields:
         place = f"[{where}]" if where else "the top of an experiment file"
-        raise RequestError(f"{place} has no key {name!r}", hint=suggest(name, list(fields)))
+        deeper = _in_tables(fields, ".".join(parts)) if not where else []
+        hint = f"labrun keys {deeper[0]}" if len(deeper) == 1 else suggest(name, deeper or list(fields))
+        raise RequestError(f"{place} has no key {name!r}", hint=hint)
     at, group = f"{where}.{name}" if where else name, _GROUPS.get(name)
     if group is not None and rest and registry.is_installed(group, rest[0]):
         return _below(_plugin_model(group, rest[0]), f"{at}.{rest[0]}", rest[1:])

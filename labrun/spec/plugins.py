@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from labrun import registry
 from labrun.devices import DeviceContext, Limits
 from labrun.errors import PluginError
-from labrun.spec.experiment import STILL, GaitTable, ObjectiveTable, RigTable, SceneTable
+from labrun.spec.experiment import ROBOT_FILES, STILL, GaitTable, ObjectiveTable, RigTable, SceneTable
 from labrun.spec.loop_tables import LOOP_DEVICE, TIMING_CHANNELS, shape_of
 from labrun.spec.raw import DeviceInfo, check_channel, drives_of, one_or_several, table, tables
 from labrun.spec.search_tables import SIMULATION
@@ -37,6 +37,8 @@ def load_plugin(group: str, plugin: object, path: KeyPath) -> tuple[Any, list[Fa
         kind = group.removeprefix("labrun.").removesuffix("s")
         known = sorted({name.removeprefix(_STAND_IN) for name in registry.names(group)})
         hint = suggest(plugin, known, kind="installed")
+        if group == "labrun.scenes" and "." in plugin:
+            hint = f"a robot's file ends in {', '.join(ROBOT_FILES)}, and a class of yours is module:Class"
         return None, [Fault(path, f"unknown {kind} plugin; {hint}", at_value=True)]
     try:
         return registry.load(group, named), []

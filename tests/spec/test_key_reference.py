@@ -53,3 +53,9 @@ def test_a_key_that_is_none_names_the_nearest(path, hint):
     with pytest.raises(RequestError) as error:
         keys_at(path)
     assert hint in (error.value.hint or "")
+
+
+def test_a_key_without_its_table_is_told_with_it():
+    with pytest.raises(RequestError) as refused:
+        keys_at("scene")
+    assert refused.value.hint == "labrun keys rig.scene"

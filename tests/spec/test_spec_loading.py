@@ -87,6 +87,7 @@ def test_a_wrong_unit_says_which_is_expected_and_what_the_value_would_be(problem
     [
         ('"arduino-servo"', '"arduino-srvo"', "rig.devices.tail.plugin", 'did you mean "arduino-servo"?'),
         ('"caudal-tank"', '"caudal-tnk"', "rig.scene", 'did you mean "caudal-tank"?'),
+        ('"caudal-tank"', '"arm.xlm"', "rig.scene", "a robot's file ends in .xml, .mjcf, .urdf"),
         ('"sine"', '"sin"', "gait.plugin", 'did you mean "sine"?'),
         ('"cycle-mean"', '"cyclemean"', "objectives.thrust.plugin", 'did you mean "cycle-mean"?'),
         ("joints.tail", "joints.tial", "gait.joints.tial", 'did you mean "tail"?'),
