@@ -145,7 +145,12 @@ def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[str]]:
     """
     streams = [*{id(one.stream): one.stream for one in matches if one.stream is not None}.values()]
     if not streams:
-        raise RecordingError("nothing of the model is in the log", hint="look at --map")
+        none = (
+            "nothing of the model is in the log"
+            if matches
+            else "the model has no hinge or slide to compare a log with"
+        )
+        raise RecordingError(none, hint="look at --map" if matches else None)
     measured = [
         sum(one.stream is stream and one.wanted.kind == "output" for one in matches) for stream in streams
     ]

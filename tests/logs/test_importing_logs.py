@@ -339,6 +339,15 @@ def test_a_long_log_with_one_rest_only_is_cut_all_the_same(tmp_path, arm):
     assert "cut every 10 s, as it has no rests" in made.remarks
 
 
+def test_a_robot_without_a_hinge_or_slide_is_told(tmp_path):
+    ball = tmp_path / "ball.xml"
+    ball.write_text(
+        '<mujoco><worldbody><body><joint type="free"/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(RecordingError, match="no hinge or slide"):
+        import_log(logs.write_csv(tmp_path / "a.csv", *logs.motion()), ball, tmp_path / "one")
+
+
 URDF = (
     '<robot name="arm"><link name="base"/><link name="upper"><inertial><origin xyz="0 0 -0.1"/><mass value="0.5"/>'
     '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>'
