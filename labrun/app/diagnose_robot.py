@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from labrun.app.kept import FOLDER, as_texts, keep, kept_folder
 from labrun.app.question import ask, find_data
-from labrun.fit import Note, silent
+from labrun.fit import Dataset, Note, silent
 from labrun.gap import Options, RobotDiagnosis, diagnose_robot, require_new, why_not
 from labrun.gap import save_model as write_model
-from labrun.models import read_robot
+from labrun.models import Robot, read_robot, with_grip_held
 from labrun.report.robot import robot_lines
 from labrun.store import require_writable
 from labrun.workers import cores
@@ -50,7 +52,16 @@ def joint_by_joint(target: str | Path, results: str | Path = "results") -> str |
     folder = find_data(target, Path(results))
     if not (folder / ROBOT).is_file() or not (folder / "model.toml").is_file():
         return None
-    return why_not(read_robot(folder / ROBOT), ask(folder, None).dataset)
+    dataset = ask(folder, None).dataset
+    return why_not(robot_of(folder, dataset), dataset)
+
+
+def robot_of(folder: Path, dataset: Dataset) -> Robot:
+    """Return the robot of a recording, a gripper of tied joints held where the log has it on the average."""
+    robot, names = read_robot(folder / ROBOT), [one.name for one in dataset.outputs]
+    measured = [(one.name, names.index(one.output)) for one in robot.joints if one.output in names]
+    values = np.concatenate([trial.outputs for trial in dataset.trials])
+    return with_grip_held(robot, {name: float(np.mean(values[:, column])) for name, column in measured})
 
 
 def diagnose_joints(
@@ -90,8 +101,10 @@ def diagnose_joints(
     require_writable(where, "the diagnosis")
     question = ask(folder, None)
     options = Options(seed=seed or 0, withhold=tuple(withhold), workers=workers or cores())
-    found = diagnose_robot(read_robot(folder / ROBOT), question.model, question.dataset, options, note=note)
-    found = replace(found, source=str(folder))
+    robot = robot_of(folder, question.dataset)
+    found = diagnose_robot(robot, question.model, question.dataset, options, note=note)
+    held = robot.remarks[len(read_robot(folder / ROBOT).remarks) :]
+    found = replace(found, source=str(folder), remarks=(*held, *found.remarks))
     note("writing the report" if page else "storing the diagnosis")
 
     def drawn() -> tuple[str, Any]:

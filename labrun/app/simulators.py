@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from labrun.app.diagnose_robot import ROBOT
+from labrun.app.diagnose_robot import robot_of
 from labrun.app.fit import fit
 from labrun.app.kept import NUMBERS, read_stored
 from labrun.errors import RequestError
@@ -15,7 +15,7 @@ from labrun.estimate import Estimate
 from labrun.fit import Note, load_dataset, silent
 from labrun.gap import parameter_ranges, require_new
 from labrun.gap import save_model as write_model
-from labrun.models import Exported, MjcfRange, load_model, mjcf_of, mjcf_ranges, read_robot
+from labrun.models import Exported, MjcfRange, load_model, mjcf_of, mjcf_ranges
 from labrun.store import find_run, is_recording, replace_durably
 
 _ISAAC = {
@@ -136,8 +136,8 @@ def _fitted(stored: Mapping[str, Any], source: str, corrected: Path, note: Note)
     note("fitting the corrected model to every trial")
     if "joints" in stored:
         model, recording = load_model(source), Path(source).parent
-        robot = read_robot(recording / ROBOT)
-        return parameter_ranges(robot, model, load_dataset(recording, model), stored, note=note)
+        dataset = load_dataset(recording, model)
+        return parameter_ranges(robot_of(recording, dataset), model, dataset, stored, note=note)
     # the diagnosis has fitted it: other starts would only lead back
     return fit(
         stored["source"], model=str(corrected), starts=1, results=corrected.parent, note=note

@@ -10,6 +10,7 @@ from labrun.models.files import load_model, parse_model
 from labrun.models.finding import is_robot, shipped_models
 from labrun.models.layout import Drive
 from labrun.models.mjcf.exporting import Exported, MjcfRange, mjcf_of, mjcf_ranges
+from labrun.models.mjcf.grip import with_grip_held
 from labrun.models.mjcf.inverse import Carried, RobotTerms, TipLoad, carried, robot_terms
 from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, read_robot
 from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter, natives
@@ -33,4 +34,5 @@ __all__ = [
     "corrected_model_text", "filtered", "identifier", "is_robot", "kernel", "load_model", "measured_name",
     "mjcf_of", "mjcf_ranges", "native", "natives", "observed", "parse_model", "prepare", "python_model", "read_robot",
     "robot_terms", "shipped_models", "simulate", "simulate_unfiltered", "site_course", "suggest_substeps",
+    "with_grip_held",
 ]  # fmt: skip

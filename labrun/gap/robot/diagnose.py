@@ -63,11 +63,14 @@ class JointDiagnosis:
 
     @property
     def moved(self) -> dict[str, float]:
-        """Parameters that explain the joint by being far from what is stated, by the factor they are off; else none."""
-        if self.diagnosis.causes or self.diagnosis.verdict != "parameter":
+        """Parameters that explain the joint by being far from what is stated, by the factor they are off; else none.
+
+        None of a joint that moves as stated to within one trial's noise: gain, damping and mass trade for one another.
+        """
+        if self.diagnosis.causes or self.diagnosis.verdict != "parameter" or self.diagnosis.gap.raw <= 1.0:
             return {}
         return {
-            name: found / stated
+            name.removesuffix("_ratio"): found / stated
             for name, (stated, tolerance, found) in self.diagnosis.recalibration.items()
             if isinstance(tolerance, float)
             and stated
@@ -223,7 +226,7 @@ def diagnose_robot(
             )
             moved = found.with_load_at(tip.torque(better))
             second = dict(zip(hanging, _looked(moved, hanging, alone, there, note), strict=True))
-            if _loads(answers, hanging) < _loads(second, hanging):
+            if _explained_by_load(answers, hanging) < _explained_by_load(second, hanging):
                 answers = [second.get(number, one) for number, one in enumerate(answers)]
                 found, place = moved, better
         whole = _of_the_whole(answers, place)
@@ -392,12 +395,14 @@ def _where_something_hangs(answers: Sequence[tuple[OneJoint, Diagnosis]], body: 
     ]
 
 
-def _loads(
+def _explained_by_load(
     answers: Sequence[tuple[OneJoint, Diagnosis]] | Mapping[int, tuple[OneJoint, Diagnosis]],
     at: Sequence[int],
-) -> int:
-    """Return at how many of some joints a load, and nothing else, explains what they lack."""
-    return sum([cause.name.effect for cause in answers[place][1].causes] == ["payload"] for place in at)
+) -> tuple[int, float]:
+    """Return at how many of some joints a load, and nothing else, explains what they lack; and minus what it leaves."""
+    told = [answers[place][1] for place in at]
+    loaded = sum([cause.name.effect for cause in answer.causes] == ["payload"] for answer in told)
+    return loaded, -sum(answer.gap.after**2 for answer in told)
 
 
 def _that_others_may_explain(
@@ -464,6 +469,12 @@ def _together(
                 f"{name} is told by {', '.join(told_by)} and is not in the corrected model: with it the whole robot "
                 "is simulated no better"
             )
+    fall = [one.joint.name for one, _ in answers if one.by_torque]
+    if fall:
+        left.append(
+            f"{', '.join(fall)}: driven by the torque that was logged; nothing holds the whole robot there, so that "
+            "its simulation drifts from the log, and how far says little"
+        )
     told: dict[str, list[float]] = {}
     for _, answer in answers:
         for name, (_, _, value) in answer.recalibration.items():

@@ -334,30 +334,35 @@ def test_what_a_rate_gain_changed_by_goes_into_the_damping_of_the_whole_robot():
 
 
 def test_a_gain_that_alone_explains_a_joint_by_being_far_from_what_is_stated_is_told():
-    def joint(kp: float, tolerance: float | str = 0.1, verdict: str = "parameter") -> JointDiagnosis:
+    def joint(
+        kp: float, tolerance: float | str = 0.1, verdict: str = "parameter", raw: float = 5.0
+    ) -> JointDiagnosis:
         recalibration = {"elbow_kp": (40.0, tolerance, kp), "mass_ratio": (1.0, 0.05, 1.04)}
-        told = SimpleNamespace(causes=(), verdict=verdict, recalibration=recalibration)
+        gap = SimpleNamespace(raw=raw)
+        told = SimpleNamespace(causes=(), verdict=verdict, recalibration=recalibration, gap=gap)
         return JointDiagnosis(SimpleNamespace(name="elbow"), told, 0.1, 0.01, 0.01)
 
     assert joint(28.0).moved == {"elbow_kp": pytest.approx(0.7)}
     assert joint(36.0).moved == {}
     assert joint(28.0, "free").moved == {}
     assert joint(28.0, verdict="not-in-library").moved == {}
+    assert joint(28.0, raw=0.5).moved == {}  # it moves as stated, to within the noise
     found = RobotDiagnosis("arm", "arm", "log", (joint(28.0), joint(41.0)), (), (), {}, (), 1.0)
     assert found.sentence == "parameters are far from what is stated: elbow_kp -30 %."
 
 
 def test_a_mass_is_told_only_where_the_joints_that_carry_it_agree():
     told = SimpleNamespace(
-        causes=(), verdict="parameter", recalibration={"hand_mass_ratio": (1.0, 0.05, 1.3)}
-    )
+        causes=(), verdict="parameter", recalibration={"hand_mass_ratio": (1.0, 0.05, 1.3)},
+        gap=SimpleNamespace(raw=5.0),
+    )  # fmt: skip
 
     def elbow(median: float) -> JointDiagnosis:
         return JointDiagnosis(
             SimpleNamespace(name="elbow"), told, 0.1, 0.01, 0.01, {"hand_mass_ratio": median}
         )
 
-    assert elbow(1.25).moved == {"hand_mass_ratio": pytest.approx(1.3)}
+    assert elbow(1.25).moved == {"hand_mass": pytest.approx(1.3)}
     assert elbow(1.02).moved == {}
 
 
