@@ -20,6 +20,7 @@ from labrun.gap.robot.diagnose import (
     JointDiagnosis,
     RobotDiagnosis,
     _announced,
+    _explained_by_load,
     _into_damping,
     _looked,
     _smoothing_gap,
@@ -364,6 +365,17 @@ def test_a_mass_is_told_only_where_the_joints_that_carry_it_agree():
 
     assert elbow(1.25).moved == {"hand_mass": pytest.approx(1.3)}
     assert elbow(1.02).moved == {}
+
+
+def test_of_two_places_that_as_many_joints_tell_a_load_at_the_one_that_leaves_less_counts():
+    def told(*afters: float, effect: str = "payload") -> list:
+        cause = SimpleNamespace(name=SimpleNamespace(effect=effect))
+        return [(None, SimpleNamespace(causes=[cause], gap=SimpleNamespace(after=one))) for one in afters]
+
+    assert _explained_by_load(told(5.1, 19.0), [0, 1]) < _explained_by_load(told(4.1, 7.7), [0, 1])
+    assert _explained_by_load(told(0.1, 0.1, effect="bias"), [0, 1]) < _explained_by_load(
+        told(9.0, 9.0), [0, 1]
+    )
 
 
 def test_where_recalibration_leaves_less_than_is_asked_for_no_cause_is_looked_for(tmp_path):
