@@ -37,7 +37,15 @@ from labrun.gap.rating import Rated
 from labrun.gap.recalibration import member_residuals
 from labrun.gap.selection import Chosen
 from labrun.gap.trial_wise import remaining, words
-from labrun.gap.verdict import VerdictBasis, limitations, may_help_nothing, sentence, verdict, what_next
+from labrun.gap.verdict import (
+    VerdictBasis,
+    limitations,
+    may_help_nothing,
+    sentence,
+    stands_all_the_same,
+    verdict,
+    what_next,
+)
 from labrun.gap.where.difference import Difference
 
 
@@ -142,8 +150,7 @@ def conclude(
     unproven = may_help_nothing(findings)
     if unproven:
         without = _basis(search, (), floor, rng)
-        # causes that leave none of what is plainly no noise are proven by that
-        unproven = findings.left_is_gap or not without.left_is_gap
+        unproven = not stands_all_the_same(findings, without)
     unannounced = _unannounced(selection.chosen, findings) if unproven else ()
     findings = without if unproven else findings
     sizes, shrunk = findings.sizes, findings.shrinkage

@@ -80,6 +80,18 @@ def may_help_nothing(found: VerdictBasis) -> bool:
     return found.shrinkage is not None and found.shrinkage.low <= 0.0
 
 
+def stands_all_the_same(found: VerdictBasis, without: VerdictBasis) -> bool:
+    """Tell whether causes that help nothing in some choice of conditions stand, by what is left with and without them.
+
+    They leave no gap of what plainly was one; or, where repeats tell the noise, they explain the whole of what is
+    beyond it, in no choice of conditions more than there is: a share of what may be nothing has no end.
+    """
+    if found.left_is_gap or found.shrinkage is None:
+        return False
+    whole = found.shrinkage.value >= criteria.WHOLE_SHARE and found.shrinkage.high <= 1.0
+    return without.left_is_gap or (found.noise_known and without.remains and not found.remains and whole)
+
+
 def verdict(found: VerdictBasis) -> Verdict:
     """Return the verdict.
 
@@ -150,7 +162,8 @@ def sentence(
             verdict, sizes, causes, removed, unit, conditions=conditions, sure=noise_known or rest
         )
         more = rest and verdict == "explained"
-        return f"{said[:-1]}; that rest is more than noise: {_OTHER_FORM}." if more else said
+        but = "more than noise" if sizes.after >= 1.0 else "small, but not all of it noise"
+        return f"{said[:-1]}; that rest is {but}: {_OTHER_FORM}." if more else said
     if verdict == "no-gap":
         return _of_noise(recalibrated, unit, sizes)
     small = sizes.recalibrated < 1.0  # in units of what a sensor adds

@@ -51,7 +51,7 @@ def both(
 
     for _ in range(ATTEMPTS):
         emulated = run_of("--emulate")
-        if all(one.late_worst_s < PUNCTUAL_S for one in command_health(emulated.events)):
+        if all(one.late_worst_s < PUNCTUAL_S for one in command_health(emulated.events).values()):
             break
     return emulated, run_of("--dry-run")
 

@@ -1,9 +1,11 @@
 """From sizes and shares to a verdict."""
 
+from dataclasses import replace
+
 import pytest
 
 from labrun.gap.diagnosis import BeyondScatter, Shrinkage, Sizes
-from labrun.gap.verdict import VerdictBasis, may_help_nothing, verdict
+from labrun.gap.verdict import VerdictBasis, may_help_nothing, stands_all_the_same, verdict
 
 
 def findings(
@@ -56,6 +58,27 @@ def test_a_share_whose_interval_holds_none_may_help_nothing():
     assert may_help_nothing(findings(share=(0.3, -0.4, 1.54)))
     assert not may_help_nothing(findings())
     assert not may_help_nothing(nothing_found(sizes=(5.0, 0.8, 0.8, 0.3)))
+
+
+@pytest.mark.parametrize(
+    ("share", "repeated", "stands"),
+    [
+        ((0.91, -0.07, 0.91), True, True),  # a condition that the parameters take up
+        ((0.91, -0.65, 15.0), True, False),  # of what may be nothing
+        ((0.5, -0.07, 0.9), True, False),
+        ((0.91, -0.07, 0.91), False, False),
+    ],
+)
+def test_a_cause_that_leaves_nothing_of_a_gap_beyond_noise_stands_though_it_helps_some_conditions_nothing(
+    share, repeated, stands
+):
+    found = findings(sizes=(39.0, 0.36, 0.11, 0.17), share=share, repeated=repeated)
+    assert may_help_nothing(found)
+    without = nothing_found(sizes=(39.0, 0.33, 0.33, 0.17), repeated=repeated)
+    assert not without.left_is_gap
+    assert stands_all_the_same(found, without) == stands
+    assert not stands_all_the_same(found, replace(without, remains=False))
+    assert not stands_all_the_same(replace(found, remains=True), without)
 
 
 def test_a_wrong_parameter_is_a_verdict_of_its_own():

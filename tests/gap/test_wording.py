@@ -53,6 +53,9 @@ def test_a_rest_beyond_noise_is_said_beside_a_cause_that_explains_the_gap() -> N
     sizes = Sizes(12.0, 10.0, 1.0, 0.1)
     told = sentence("explained", sizes, CAUSES, Shrinkage(0.98, 0.9, 1.0), None, conditions=4, rest=True)
     assert told.endswith("that rest is more than noise: nature's form may be another one, or there is more.")
+    little = Sizes(12.0, 10.0, 0.4, 0.1)
+    told = sentence("explained", little, CAUSES, Shrinkage(0.98, 0.9, 1.0), None, conditions=4, rest=True)
+    assert "that rest is small, but not all of it noise" in told
     plain = VerdictBasis(sizes, True, True, 1, 0, Shrinkage(0.98, 0.9, 1.0), BeyondScatter(size=2.0))
     assert plain.left_is_gap
     assert not replace(plain, sizes=Sizes(12.0, 10.0, 0.12, 0.1)).left_is_gap
