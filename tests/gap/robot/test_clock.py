@@ -27,7 +27,7 @@ def with_angles_early(found: Prescribed, samples: list[int]) -> Prescribed:
     return prescribed(found.robot, found.whole, replace(found.dataset, trials=tuple(trials)))
 
 
-@pytest.mark.parametrize("samples", [3, -2])
+@pytest.mark.parametrize("samples", [3, pytest.param(-2, marks=pytest.mark.slow)])
 def test_a_clock_that_all_joints_share_is_found_beside_gains_that_are_off(tmp_path, samples):
     found = with_angles_early(logged(tmp_path, 0.0, FAR_END_M, 0.95), [samples] * 4)
     lead_s = common_lead(found, np.random.default_rng(RNG))
