@@ -104,6 +104,14 @@ def test_a_last_body_that_is_balanced_about_its_joint_takes_no_load(tmp_path):
     assert "tip_load" not in names
 
 
+def test_a_base_that_is_free_is_said_to_fall(tmp_path):
+    (tmp_path / "leg.xml").write_text(
+        '<mujoco><worldbody><body name="torso"><freejoint/><geom size="0.1"/><body name="x">'
+        '<joint name="j" axis="0 1 0"/><geom size="0.1"/></body></body></worldbody></mujoco>'
+    )
+    assert any("nothing holds its free base" in one for one in read_robot(tmp_path / "leg.xml").remarks)
+
+
 def test_a_robots_file_is_one_that_mujoco_3_reads_too(two):
     xml = read_robot(two).xml
     assert mujoco.MjModel.from_xml_string(xml).actuator_gainprm[0, 0] == 20.0

@@ -173,11 +173,7 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
         actuator.name = actuator.name or actuator.target or f"actuator{number}"
     kinds = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
     simple = [joint for joint in spec.joints if joint.type in kinds]
-    others = [joint.name for joint in spec.joints if joint.type not in kinds]
-    if others:
-        remarks.append(
-            f"{', '.join(others)}: ball and free joints move, but have no site and are not compared with a log"
-        )
+    remarks += _not_compared([joint for joint in spec.joints if joint.type not in kinds])
     driven = {actuator.target for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT}
     wanted: Mapping[str, Drive]
     if drives == "undriven":
@@ -213,6 +209,20 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
             )
         },
     )
+
+
+def _not_compared(others: list[Any]) -> list[str]:
+    """Return what is said of joints that are neither hinges nor slides."""
+    if not others:
+        return []
+    names = ", ".join(joint.name for joint in others)
+    said = [f"{names}: ball and free joints move, but have no site and are not compared with a log"]
+    if any(joint.type == imported().mjtJoint.mjJNT_FREE for joint in others):
+        said.append(
+            "nothing holds its free base: with contacts switched off it falls; take the free joint out for a log of a "
+            "robot whose base stood still"
+        )
+    return said
 
 
 def mjcf_text(spec: Any) -> str:
