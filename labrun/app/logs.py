@@ -27,7 +27,7 @@ from labrun.logs import (
     unusable,
     write_recording,
 )
-from labrun.models import Model, Robot, is_robot, load_model, read_robot
+from labrun.models import Model, Robot, is_robot, load_model, read_robot, robot_table
 
 _STILL = 0.05
 """A trial begins at rest if nothing is faster there than this share of its greatest speed."""
@@ -139,7 +139,7 @@ def import_log(
             one.wanted.channel for one in matches if one.wanted.kind == "output" and one.column is not None
         ]
         start = "rest" if _at_rest(table, trials) else "free"
-        text = robot.table(xml_file="robot.xml", start=start, measured=measured)  # type: ignore[arg-type]
+        text = robot_table(robot, xml_file="robot.xml", start=start, measured=measured)  # type: ignore[arg-type]
         files = {"robot.xml": robot.xml, "model.toml": f"# from {model.name}\n{text}"}
     else:
         source = model.resolve() if model.is_file() else model

@@ -13,6 +13,7 @@ from labrun.models.mjcf.exporting import Exported, MjcfRange, mjcf_of, mjcf_rang
 from labrun.models.mjcf.grip import with_grip_held
 from labrun.models.mjcf.inverse import Carried, RobotTerms, TipLoad, carried, robot_terms
 from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, read_robot
+from labrun.models.mjcf.robot_table import robot_table
 from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter, natives
 from labrun.models.observed import measured_name, observed
 from labrun.models.simulation import (
@@ -33,6 +34,6 @@ __all__ = [
     "RobotJoint", "RobotTerms", "Simulation", "Site", "SiteKind", "Stepper", "TipLoad", "Unfiltered", "carried",
     "corrected_model_text", "filtered", "identifier", "is_robot", "kernel", "load_model", "measured_name",
     "mjcf_of", "mjcf_ranges", "native", "natives", "observed", "parse_model", "prepare", "python_model", "read_robot",
-    "robot_terms", "shipped_models", "simulate", "simulate_unfiltered", "site_course", "suggest_substeps",
-    "with_grip_held",
+    "robot_table", "robot_terms", "shipped_models", "simulate", "simulate_unfiltered", "site_course",
+    "suggest_substeps", "with_grip_held",
 ]  # fmt: skip

@@ -11,6 +11,7 @@ from labrun.models.equations import equations_model
 from labrun.models.finding import GROUP, is_robot, model_file, model_files_like, shipped_models
 from labrun.models.mjcf.file import mujoco_model
 from labrun.models.mjcf.robot import read_robot
+from labrun.models.mjcf.robot_table import robot_table
 from labrun.models.model import Model, Origin
 from labrun.models.reading import initial_of, read_effects
 from labrun.models.tables import BasedFile, ModelFile
@@ -45,7 +46,7 @@ def load_model(source: str | Path, depth: int = 0) -> Model:
         path = None
     if path is not None and is_robot(path):
         robot = read_robot(path)
-        model = parse_model(robot.table(), str(path), depth)
+        model = parse_model(robot_table(robot), str(path), depth)
         return dataclasses.replace(model, notes=(*robot.remarks, *model.notes))
     if path is not None:
         return parse_model(_text(path), str(path), depth)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labrun.errors import ModelError
-from labrun.models import load_model, parse_model, read_robot, simulate
+from labrun.models import load_model, parse_model, read_robot, robot_table, simulate
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -88,7 +88,7 @@ def test_a_joint_without_an_actuator_gets_the_one_that_is_asked_for(arm, drive, 
 
 
 def test_of_a_servo_that_the_file_lacks_gain_braking_and_rotor_are_free(arm):
-    parameters = parse_model(read_robot(arm, {"shoulder": "position"}).table(), "arm").parameters
+    parameters = parse_model(robot_table(read_robot(arm, {"shoulder": "position"})), "arm").parameters
     assert {one.name for one in parameters if one.tolerance == "free"} == {
         "shoulder_kp", "shoulder_damping", "shoulder_armature",
     }  # fmt: skip

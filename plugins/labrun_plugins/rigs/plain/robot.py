@@ -10,7 +10,7 @@ import numpy as np
 from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import ExperimentError, ModelError, SpecError
-from labrun.models import Model, Robot, Stepper, parse_model, read_robot
+from labrun.models import Model, Robot, Stepper, parse_model, read_robot, robot_table
 from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects
 
 _AXES = ("x", "y", "z")
@@ -64,7 +64,7 @@ class RobotBench(Bench):
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         robot = _robot(str(settings.get("model", "")))
         shown = _shown(robot)
-        bare = parse_model(robot.table(shown=shown), f"{robot.name}.toml")
+        bare = parse_model(robot_table(robot, shown=shown), f"{robot.name}.toml")
         joints = {joint.name: joint for joint in robot.joints}
         driven = [one for one in robot.actuators if one.command == "position" and one.joint]
         self._driven = [[one.input for one in robot.actuators].index(one.input) for one in driven]
