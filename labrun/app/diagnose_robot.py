@@ -57,8 +57,11 @@ def joint_by_joint(target: str | Path, results: str | Path = "results") -> str |
 
 
 def robot_of(folder: Path, dataset: Dataset) -> Robot:
-    """Return the robot of a recording, a gripper of tied joints held where the log has it on the average."""
-    robot, names = read_robot(folder / ROBOT), [one.name for one in dataset.outputs]
+    """Return the robot of a recording, a gripper of tied joints held where the log has it on the average.
+
+    Its remarks are of that alone: what the file lacks was said when the log was imported.
+    """
+    robot, names = replace(read_robot(folder / ROBOT), remarks=()), [one.name for one in dataset.outputs]
     measured = [(one.name, names.index(one.output)) for one in robot.joints if one.output in names]
     values = np.concatenate([trial.outputs for trial in dataset.trials])
     return with_grip_held(robot, {name: float(np.mean(values[:, column])) for name, column in measured})
@@ -103,8 +106,7 @@ def diagnose_joints(
     options = Options(seed=seed or 0, withhold=tuple(withhold), workers=workers or cores())
     robot = robot_of(folder, question.dataset)
     found = diagnose_robot(robot, question.model, question.dataset, options, note=note)
-    held = robot.remarks[len(read_robot(folder / ROBOT).remarks) :]
-    found = replace(found, source=str(folder), remarks=(*held, *found.remarks))
+    found = replace(found, source=str(folder), remarks=(*robot.remarks, *found.remarks))
     note("writing the report" if page else "storing the diagnosis")
 
     def drawn() -> tuple[str, Any]:

@@ -1,6 +1,7 @@
 """A robot's joints one by one: each as a model of its own, the motion of the others prescribed as it was measured."""
 
-from labrun.gap.robot.diagnose import JointDiagnosis, RobotDiagnosis, diagnose_robot
+from labrun.gap.robot.diagnose import diagnose_robot
+from labrun.gap.robot.diagnosis import JointDiagnosis, RobotDiagnosis
 from labrun.gap.robot.one_joint import why_not
 from labrun.gap.robot.ranges import parameter_ranges
 

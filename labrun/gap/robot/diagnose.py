@@ -3,173 +3,30 @@
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.effects import AttachedEffect
 from labrun.fit import Dataset, Note, silent
 from labrun.gap import criteria
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis, Verdict
 from labrun.gap.robot.clock import common_lead
+from labrun.gap.robot.diagnosis import OF_THE_WHOLE, OfTheWhole, RobotDiagnosis
 from labrun.gap.robot.links import links_that_explain
 from labrun.gap.robot.one_joint import OneJoint, Prescribed, one_joint, prescribed
 from labrun.gap.robot.tip_load import place_of_load
-from labrun.models import Model, Robot, RobotJoint, identifier, simulate, suggest_substeps
+from labrun.gap.robot.together import together
+from labrun.models import Model, Robot, identifier, simulate, suggest_substeps
 from labrun.workers import Pool, pool, spread
 
-OfTheWhole = tuple[str, tuple[str, ...], Mapping[str, float]]
-"""An effect of the whole robot, the joints that tell it, and its values."""
-OF_THE_WHOLE = ("gravity-tilt", "payload")
-"""Effects that one joint shows and the whole robot has."""
-IN_THE_ROBOT: Mapping[str, Mapping[str, str]] = {
-    "gravity-tilt": {"base_roll": "roll", "base_pitch": "pitch"},
-    "payload": {"tip_load": "mass", "tip_load_x": "x", "tip_load_y": "y", "tip_load_z": "z"},
-}
-"""Their parameters in the model of the whole robot, and what these are called in the effect."""
-OF_THE_LOG = ("late-clock", "delay")
-"""Of all goals at once: stamped late beside all angles, or followed late by them."""
 OF_A_TORQUE = ("delay", "early-clock", "lag")
 """What a torque is not asked for at one joint: one that sticks brakes before it moves, which looks like a time."""
 _CLOCKS = ("early-clock", "late-clock")
 """Of an encoder, and of its goals: beside the other, one is the other."""
 _NOT_LOOKED_FOR = "no cause was looked for"
 _MOST_SUBSTEPS = 16
-
-
-@dataclass(frozen=True)
-class JointDiagnosis:
-    """What was found about one joint.
-
-    Attributes
-    ----------
-    stated, recalibrated, corrected
-        Root mean square of measured minus simulated of this joint, in its unit, where the whole robot is simulated:
-        with the model as stated, with parameters recalibrated, with all causes of all joints added. NaN where the
-        simulation leaves the finite numbers.
-    agreed
-        Its parameters as the median of what all joints say: a mass moves every joint that carries it.
-    """
-
-    joint: RobotJoint
-    diagnosis: Diagnosis
-    stated: float
-    recalibrated: float
-    corrected: float
-    agreed: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def moved(self) -> dict[str, float]:
-        """Parameters that explain the joint by being far from what is stated, by the factor they are off; else none.
-
-        None of a joint that moves as stated to within one trial's noise: gain, damping and mass trade for one another.
-        """
-        if self.diagnosis.causes or self.diagnosis.verdict != "parameter" or self.diagnosis.gap.raw <= 1.0:
-            return {}
-        return {
-            name.removesuffix("_ratio"): found / stated
-            for name, (stated, tolerance, found) in self.diagnosis.recalibration.items()
-            if isinstance(tolerance, float)
-            and stated
-            and 0
-            < criteria.FAR_MOVED * tolerance
-            <= min(abs(one / stated - 1.0) for one in (found, self.agreed.get(name, found)))
-        }
-
-
-@dataclass(frozen=True)
-class RobotDiagnosis:
-    """What was found about a robot.
-
-    Attributes
-    ----------
-    whole
-        Causes of the robot as a whole (a tilted base, a load, a clock of all goals), with the joints that show each.
-    effects, values
-        All causes as they go into the model of the whole robot, and its parameters.
-    remarks
-        What to know, in sentences.
-    """
-
-    name: str
-    model: str
-    source: str
-    joints: tuple[JointDiagnosis, ...]
-    whole: tuple[OfTheWhole, ...]
-    effects: tuple[AttachedEffect, ...]
-    values: Mapping[str, float]
-    remarks: tuple[str, ...]
-    seconds: float
-
-    @property
-    def named(self) -> tuple[JointDiagnosis, ...]:
-        """The joints at which a cause was found."""
-        return tuple(one for one in self.joints if one.diagnosis.causes)
-
-    @property
-    def clock(self) -> str:
-        """What the goals of all joints have in time beside the angles; "" if nothing."""
-        return next((name for name, _, _ in self.whole if name in OF_THE_LOG), "")
-
-    @property
-    def sentence(self) -> str:
-        """The answer, as a sentence."""
-        found = [
-            f"{one.joint.name}: {' and '.join(cause.name.words.partition(' at ')[0] for cause in one.diagnosis.causes)}"
-            for one in self.named
-        ]
-        unexplained = [one.joint.name for one in self.joints if one.diagnosis.verdict == "not-in-library"]
-        found += [_clock_words(name, values) for name, _, values in self.whole if name in OF_THE_LOG]
-        told = "; ".join(found) if found else "nothing but recalibration is asked for at any joint"
-        far = [f"{name} {100 * (by - 1):+.2g} %" for one in self.joints for name, by in one.moved.items()]
-        if far and not found:
-            told = f"parameters are far from what is stated: {', '.join(far)}"
-        several = self.named and len(self.joints) > 1
-        count = f"{len(self.named)} of {len(self.joints)} joints lack physics: " if several else ""
-        rest = f"; not in the library: {', '.join(unexplained)}" if unexplained else ""
-        rest += f"; far from what is stated: {', '.join(far)}" if far and found else ""
-        return f"{count}{told}{rest}."
-
-    def to_json(self) -> dict[str, Any]:
-        """Return what ``labrun gap diagnose --json`` prints, with what makes the corrected model."""
-        found = bool(self.named or self.whole)
-        return {
-            "verdict": "explained" if found else "no-gap",
-            "sentence": self.sentence,
-            "name": self.name,
-            "model": self.model,
-            "source": self.source,
-            "joints": [
-                {
-                    "joint": one.joint.name, "unit": one.joint.unit, "stated": _number(one.stated),
-                    "recalibrated": _number(one.recalibrated), "corrected": _number(one.corrected),
-                    "moved": one.moved, "diagnosis": one.diagnosis.to_json(),
-                }
-                for one in self.joints
-            ],
-            "whole": [
-                {"effect": name, "joints": list(joints), "values": dict(values)}
-                for name, joints, values in self.whole
-            ],
-            "corrected": dict(self.values),
-            "effects": [
-                {"effect": one.effect.id, "kind": one.effect.kind, "site": one.site, "values": list(one.values)}
-                for one in self.effects
-            ],
-            "notes": list(self.remarks),
-            "data": {
-                "trials": self.joints[0].diagnosis.trials,
-                "conditions": self.joints[0].diagnosis.conditions,
-                "repeats": self.joints[0].diagnosis.repeats,
-            },
-            "seed": self.joints[0].diagnosis.seed,
-            "limitations": [],
-            "causes": [cause for one in self.joints for cause in one.diagnosis.to_json()["causes"]],
-            "seconds": round(self.seconds, 2),
-        }  # fmt: skip
 
 
 def diagnose_robot(
@@ -240,7 +97,7 @@ def diagnose_robot(
         (parameter,) = found.clock_at(found.robot.actuators[0].input).named_values
         whole = (*whole, (found.clock, tuple(driven), {parameter: abs(found.lead_s)}))
     note("simulating the whole robot with what was found")
-    return _together(found, answers, whole, start)
+    return together(found, answers, whole, start)
 
 
 def _looked(
@@ -299,7 +156,9 @@ def _smoothing_gap(one: OneJoint, drawn: OneJoint) -> float:
         The same with the noise of all joints drawn again, see `Prescribed.redrawn`.
     """
     names = [signal.name for signal in one.model.inputs]
-    if one.by_torque or names != [signal.name for signal in drawn.model.inputs]:
+    if one.by_torque:
+        return 0.0  # its own motion is smoothed as well, and what that leaves is in the noise of its torque
+    if names != [signal.name for signal in drawn.model.inputs]:
         return 0.0  # a body was near enough to the share that counts to be taken in once: a small one
     own = [names.index("measured"), names.index("measured_rate")]
     apart, left, substeps = [], [], None
@@ -434,87 +293,6 @@ def _explained_by_others(
     ]
 
 
-def _together(
-    found: Prescribed,
-    answers: Sequence[tuple[OneJoint, Diagnosis]],
-    whole: Sequence[OfTheWhole],
-    start: float,
-) -> RobotDiagnosis:
-    model = found.whole
-    names = {one.name for one in model.parameters}
-    recalibrated, corrected = _values(model, answers, after=False), _values(model, answers, after=True)
-    effects, left = [], []
-    for _, answer in answers:
-        for one in answer.effects:
-            try:
-                one.check(model)
-                effects.append(one)
-            except Exception as error:
-                if one.effect.id not in OF_THE_WHOLE:
-                    left.append(f"{one.effect.id} at {one.site} is not in the corrected model: {error}")
-    effects += [found.clock_at(one.input) for one in found.robot.actuators if found.lead_s]
-    before, after, last = (
-        _errors(found, model.with_values(values).with_effects(added))
-        for values, added in (({}, ()), (recalibrated, ()), (corrected, tuple(effects)))
-    )
-    for name, told_by, values in whole:
-        if name in OF_THE_LOG:
-            continue
-        put = {parameter: values[one] for parameter, one in IN_THE_ROBOT[name].items() if parameter in names}
-        with_it = _errors(found, model.with_values(corrected | put).with_effects(effects))
-        if len(put) == len(values) and np.sum(np.square(with_it / after)) < np.sum(np.square(last / after)):
-            corrected, last = corrected | put, with_it
-        else:
-            left.append(
-                f"{name} is told by {', '.join(told_by)} and is not in the corrected model: with it the whole robot "
-                "is simulated no better"
-            )
-    fall = [one.joint.name for one, _ in answers if one.by_torque]
-    if fall:
-        left.append(
-            f"{', '.join(fall)}: driven by the torque that was logged; nothing holds the whole robot there, so that "
-            "its simulation drifts from the log, and how far says little"
-        )
-    told: dict[str, list[float]] = {}
-    for _, answer in answers:
-        for name, (_, _, value) in answer.recalibration.items():
-            told.setdefault(name, []).append(value)
-    agreed = {name: float(np.median(values)) for name, values in told.items()}
-    joints = tuple(
-        JointDiagnosis(
-            one.joint, answer, float(before[place]), float(after[place]), float(last[place]), agreed
-        )
-        for place, (one, answer) in enumerate(answers)
-    )
-    return RobotDiagnosis(
-        found.robot.name, model.name, str(found.dataset.source), joints, tuple(whole), tuple(effects),
-        {name: value for name, value in corrected.items() if name in names}, tuple(left), time.perf_counter() - start,
-    )  # fmt: skip
-
-
-def _values(model: Model, answers: Sequence[tuple[OneJoint, Diagnosis]], *, after: bool) -> dict[str, float]:
-    """Return the parameters of the whole robot: a joint's own from that joint, a mass as the mean over joints."""
-    stated = {one.name: one.value for one in model.parameters}
-    told: dict[str, list[float]] = {}
-    for one, answer in answers:
-        every = {name: value for name, (_, _, value) in answer.recalibration.items()}
-        every |= answer.corrected if after else {}
-        _into_damping(one.joint.output, every, answer)
-        for name, value in every.items():
-            if name in stated:
-                told[name] = [value]
-            elif (mass := name.removesuffix("_ratio")) in stated:
-                told.setdefault(mass, []).append(value * stated[mass])
-    return {name: float(np.mean(values)) for name, values in told.items()}
-
-
-def _into_damping(joint: str, values: dict[str, float], answer: Diagnosis) -> None:
-    """Give the joint's damping what its servo's rate gain changed by: the whole robot has the sum in one place."""
-    damping = f"{joint}_damping"
-    for name in [name for name in values if name.endswith("_kv")]:
-        values[damping] = max(values[damping] + values.pop(name) - answer.recalibration[name][0], 0.0)
-
-
 def _of_the_whole(
     answers: Sequence[tuple[OneJoint, Diagnosis]], load_at: FloatArray
 ) -> tuple[OfTheWhole, ...]:
@@ -534,47 +312,3 @@ def _of_the_whole(
             values |= dict(zip("xyz", load_at.tolist(), strict=True)) if effect == "payload" else {}
             found.append((effect, tuple(name for name, _ in shown), values))
     return tuple(found)
-
-
-def _errors(found: Prescribed, model: Model) -> FloatArray:
-    """Return the root mean square of measured minus simulated of every joint, whole trials simulated at once."""
-    data = found.dataset
-    names = [one.name for one in data.outputs]
-    columns = [names.index(one.output) for one in found.robot.joints]
-    model = model.with_between({one.name: one.between for one in data.inputs})
-    squares, count, substeps = np.zeros(len(columns)), 0, None
-    for trial, (q, rate, _) in zip(data.trials, found.motions, strict=True):
-        known = {joint.output: float(q[0, k]) for k, joint in enumerate(found.robot.joints)}
-        known |= {f"{joint.output}_rate": float(rate[0, k]) for k, joint in enumerate(found.robot.joints)}
-        begin = np.array([known.get(state, 0.0) for state in model.states])
-        if substeps is None:
-            substeps = suggest_substeps(
-                model,
-                trial.time_s[:50],
-                trial.inputs[:50],
-                initial_state=begin,
-                tolerance=1e-3,
-                most=_MOST_SUBSTEPS,
-            )
-        made = simulate(
-            model,
-            trial.time_s,
-            trial.inputs,
-            initial_state=begin,
-            condition=trial.condition,
-            substeps=substeps,
-        )
-        squares += np.sum((trial.outputs[:, columns] - made.outputs[:, columns]) ** 2, axis=0)
-        count += len(trial.time_s)
-    return np.sqrt(squares / max(count, 1))
-
-
-def _clock_words(effect: str, values: Mapping[str, float]) -> str:
-    (time_s,) = values.values()
-    if effect == "delay":
-        return f"all joints: goals are followed {1e3 * time_s:.3g} ms late"
-    return f"the log: goals are stamped {1e3 * time_s:.3g} ms late beside all angles"
-
-
-def _number(value: float) -> float | None:
-    return value if np.isfinite(value) else None

@@ -13,7 +13,8 @@ import numpy as np
 from labrun.effects import AttachedEffect
 from labrun.estimate import Estimate
 from labrun.fit import Dataset, Note, fit_model, silent
-from labrun.gap.robot.diagnose import OF_THE_LOG, OF_THE_WHOLE, among
+from labrun.gap.robot.diagnose import among
+from labrun.gap.robot.diagnosis import OF_THE_LOG, OF_THE_WHOLE
 from labrun.gap.robot.links import beside_encoders
 from labrun.gap.robot.one_joint import OneJoint, Prescribed, one_joint, prescribed
 from labrun.gap.saving import effects_of

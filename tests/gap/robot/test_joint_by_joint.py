@@ -16,19 +16,13 @@ from labrun.fit.output_error import fit_model
 from labrun.gap import Options, diagnose_robot, parameter_ranges, why_not
 from labrun.gap.diagnose import diagnose_dataset
 from labrun.gap.motion import smoothed
-from labrun.gap.robot.diagnose import (
-    JointDiagnosis,
-    RobotDiagnosis,
-    _announced,
-    _explained_by_load,
-    _into_damping,
-    _looked,
-    _smoothing_gap,
-)
+from labrun.gap.robot.diagnose import _announced, _explained_by_load, _looked, _smoothing_gap
+from labrun.gap.robot.diagnosis import JointDiagnosis, RobotDiagnosis
 from labrun.gap.robot.links import beside_encoders, links_that_explain
 from labrun.gap.robot.one_joint import Prescribed, one_joint, prescribed
 from labrun.gap.robot.ranges import _as_found
-from labrun.models import load_model, parse_model, read_robot, simulate
+from labrun.gap.robot.together import _into_damping
+from labrun.models import load_model, parse_model, read_robot, robot_table, simulate
 from labrun.store import SignalInfo
 
 XML = """
@@ -118,7 +112,7 @@ def test_of_servos_that_the_file_lacks_gains_and_rotors_come_out_of_the_log(tmp_
     file = tmp_path / "bare.xml"
     file.write_text(bare, encoding="utf-8")
     robot = read_robot(file, "undriven")
-    model = parse_model(robot.table(), "bare")
+    model = parse_model(robot_table(robot), "bare")
     one = one_joint(prescribed(robot, model, dataset), 1)
     fitted = fit_model(one.model, one.dataset, rng=np.random.default_rng(0), starts=1)
     found = {name: told.value for name, told in fitted.parameters.items()}

@@ -1,0 +1,162 @@
+"""What was found about a robot: of every joint, and of the robot as a whole."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from labrun.effects import AttachedEffect
+from labrun.gap import criteria
+from labrun.gap.diagnosis import Diagnosis
+from labrun.models import RobotJoint
+
+OfTheWhole = tuple[str, tuple[str, ...], Mapping[str, float]]
+"""An effect of the whole robot, the joints that tell it, and its values."""
+OF_THE_WHOLE = ("gravity-tilt", "payload")
+"""Effects that one joint shows and the whole robot has."""
+OF_THE_LOG = ("late-clock", "delay")
+"""Of all goals at once: stamped late beside all angles, or followed late by them."""
+
+
+@dataclass(frozen=True)
+class JointDiagnosis:
+    """What was found about one joint.
+
+    Attributes
+    ----------
+    stated, recalibrated, corrected
+        Root mean square of measured minus simulated of this joint, in its unit, where the whole robot is simulated:
+        with the model as stated, with parameters recalibrated, with all causes of all joints added. NaN where the
+        simulation leaves the finite numbers.
+    agreed
+        Its parameters as the median of what all joints say: a mass moves every joint that carries it.
+    """
+
+    joint: RobotJoint
+    diagnosis: Diagnosis
+    stated: float
+    recalibrated: float
+    corrected: float
+    agreed: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def moved(self) -> dict[str, float]:
+        """Parameters that explain the joint by being far from what is stated, by the factor they are off; else none.
+
+        None of a joint that moves as stated to within one trial's noise: gain, damping and mass trade for one another.
+        """
+        if self.diagnosis.causes or self.diagnosis.verdict != "parameter" or self.diagnosis.gap.raw <= 1.0:
+            return {}
+        return {
+            name.removesuffix("_ratio"): found / stated
+            for name, (stated, tolerance, found) in self.diagnosis.recalibration.items()
+            if isinstance(tolerance, float)
+            and stated
+            and 0
+            < criteria.FAR_MOVED * tolerance
+            <= min(abs(one / stated - 1.0) for one in (found, self.agreed.get(name, found)))
+        }
+
+
+@dataclass(frozen=True)
+class RobotDiagnosis:
+    """What was found about a robot.
+
+    Attributes
+    ----------
+    whole
+        Causes of the robot as a whole (a tilted base, a load, a clock of all goals), with the joints that show each.
+    effects, values
+        All causes as they go into the model of the whole robot, and its parameters.
+    remarks
+        What to know, in sentences.
+    """
+
+    name: str
+    model: str
+    source: str
+    joints: tuple[JointDiagnosis, ...]
+    whole: tuple[OfTheWhole, ...]
+    effects: tuple[AttachedEffect, ...]
+    values: Mapping[str, float]
+    remarks: tuple[str, ...]
+    seconds: float
+
+    @property
+    def named(self) -> tuple[JointDiagnosis, ...]:
+        """The joints at which a cause was found."""
+        return tuple(one for one in self.joints if one.diagnosis.causes)
+
+    @property
+    def clock(self) -> str:
+        """What the goals of all joints have in time beside the angles; "" if nothing."""
+        return next((name for name, _, _ in self.whole if name in OF_THE_LOG), "")
+
+    @property
+    def sentence(self) -> str:
+        """The answer, as a sentence."""
+        found = [
+            f"{one.joint.name}: {' and '.join(cause.name.words.partition(' at ')[0] for cause in one.diagnosis.causes)}"
+            for one in self.named
+        ]
+        unexplained = [one.joint.name for one in self.joints if one.diagnosis.verdict == "not-in-library"]
+        found += [_clock_words(name, values) for name, _, values in self.whole if name in OF_THE_LOG]
+        told = "; ".join(found) if found else "nothing but recalibration is asked for at any joint"
+        far = [f"{name} {100 * (by - 1):+.2g} %" for one in self.joints for name, by in one.moved.items()]
+        if far and not found:
+            told = f"parameters are far from what is stated: {', '.join(far)}"
+        several = self.named and len(self.joints) > 1
+        count = f"{len(self.named)} of {len(self.joints)} joints lack physics: " if several else ""
+        rest = f"; not in the library: {', '.join(unexplained)}" if unexplained else ""
+        rest += f"; far from what is stated: {', '.join(far)}" if far and found else ""
+        return f"{count}{told}{rest}."
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``labrun gap diagnose --json`` prints, with what makes the corrected model."""
+        found = bool(self.named or self.whole)
+        return {
+            "verdict": "explained" if found else "no-gap",
+            "sentence": self.sentence,
+            "name": self.name,
+            "model": self.model,
+            "source": self.source,
+            "joints": [
+                {
+                    "joint": one.joint.name, "unit": one.joint.unit, "stated": _number(one.stated),
+                    "recalibrated": _number(one.recalibrated), "corrected": _number(one.corrected),
+                    "moved": one.moved, "diagnosis": one.diagnosis.to_json(),
+                }
+                for one in self.joints
+            ],
+            "whole": [
+                {"effect": name, "joints": list(joints), "values": dict(values)}
+                for name, joints, values in self.whole
+            ],
+            "corrected": dict(self.values),
+            "effects": [
+                {"effect": one.effect.id, "kind": one.effect.kind, "site": one.site, "values": list(one.values)}
+                for one in self.effects
+            ],
+            "notes": list(self.remarks),
+            "data": {
+                "trials": self.joints[0].diagnosis.trials,
+                "conditions": self.joints[0].diagnosis.conditions,
+                "repeats": self.joints[0].diagnosis.repeats,
+            },
+            "seed": self.joints[0].diagnosis.seed,
+            "limitations": [],
+            "causes": [cause for one in self.joints for cause in one.diagnosis.to_json()["causes"]],
+            "seconds": round(self.seconds, 2),
+        }  # fmt: skip
+
+
+def _clock_words(effect: str, values: Mapping[str, float]) -> str:
+    (time_s,) = values.values()
+    if effect == "delay":
+        return f"all joints: goals are followed {1e3 * time_s:.3g} ms late"
+    return f"the log: goals are stamped {1e3 * time_s:.3g} ms late beside all angles"
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None

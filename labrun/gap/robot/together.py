@@ -1,0 +1,144 @@
+"""All that was found at single joints, in the model of the whole robot, which is simulated beside the log."""
+
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.errors import LabrunError
+from labrun.gap.diagnosis import Diagnosis
+from labrun.gap.robot.diagnosis import OF_THE_LOG, OF_THE_WHOLE, JointDiagnosis, OfTheWhole, RobotDiagnosis
+from labrun.gap.robot.one_joint import OneJoint, Prescribed
+from labrun.models import Model, simulate, suggest_substeps
+
+IN_THE_ROBOT: Mapping[str, Mapping[str, str]] = {
+    "gravity-tilt": {"base_roll": "roll", "base_pitch": "pitch"},
+    "payload": {"tip_load": "mass", "tip_load_x": "x", "tip_load_y": "y", "tip_load_z": "z"},
+}
+"""Their parameters in the model of the whole robot, and what these are called in the effect."""
+_MOST_SUBSTEPS = 16
+
+
+def together(
+    found: Prescribed,
+    answers: Sequence[tuple[OneJoint, Diagnosis]],
+    whole: Sequence[OfTheWhole],
+    start: float,
+) -> RobotDiagnosis:
+    """Return what was found at all joints, and how well the model of the whole robot simulates the log with it.
+
+    Parameters
+    ----------
+    whole
+        What the robot as a whole has; a tilt or a load goes into the model if the log is simulated better with it.
+    start
+        When the diagnosis began, on the clock of `time.perf_counter`.
+    """
+    model = found.whole
+    names = {one.name for one in model.parameters}
+    recalibrated, corrected = _values(model, answers, after=False), _values(model, answers, after=True)
+    effects, left = [], []
+    for _, answer in answers:
+        for one in answer.effects:
+            try:
+                one.check(model)
+                effects.append(one)
+            except LabrunError as error:
+                if one.effect.id not in OF_THE_WHOLE:
+                    left.append(f"{one.effect.id} at {one.site} is not in the corrected model: {error}")
+    effects += [found.clock_at(one.input) for one in found.robot.actuators if found.lead_s]
+    before, after, last = (
+        _errors(found, model.with_values(values).with_effects(added))
+        for values, added in (({}, ()), (recalibrated, ()), (corrected, tuple(effects)))
+    )
+    for name, told_by, values in whole:
+        if name in OF_THE_LOG:
+            continue
+        put = {parameter: values[one] for parameter, one in IN_THE_ROBOT[name].items() if parameter in names}
+        with_it = _errors(found, model.with_values(corrected | put).with_effects(effects))
+        if len(put) == len(values) and np.sum(np.square(with_it / after)) < np.sum(np.square(last / after)):
+            corrected, last = corrected | put, with_it
+        else:
+            left.append(
+                f"{name} is told by {', '.join(told_by)} and is not in the corrected model: with it the whole robot "
+                "is simulated no better"
+            )
+    fall = [one.joint.name for one, _ in answers if one.by_torque]
+    if fall:
+        left.append(
+            f"{', '.join(fall)}: driven by the torque that was logged; nothing holds the whole robot there, so that "
+            "its simulation drifts from the log, and how far says little"
+        )
+    told: dict[str, list[float]] = {}
+    for _, answer in answers:
+        for name, (_, _, value) in answer.recalibration.items():
+            told.setdefault(name, []).append(value)
+    agreed = {name: float(np.median(values)) for name, values in told.items()}
+    joints = tuple(
+        JointDiagnosis(
+            one.joint, answer, float(before[place]), float(after[place]), float(last[place]), agreed
+        )
+        for place, (one, answer) in enumerate(answers)
+    )
+    return RobotDiagnosis(
+        found.robot.name, model.name, str(found.dataset.source), joints, tuple(whole), tuple(effects),
+        {name: value for name, value in corrected.items() if name in names}, tuple(left), time.perf_counter() - start,
+    )  # fmt: skip
+
+
+def _values(model: Model, answers: Sequence[tuple[OneJoint, Diagnosis]], *, after: bool) -> dict[str, float]:
+    """Return the parameters of the whole robot: a joint's own from that joint, a mass as the mean over joints."""
+    stated = {one.name: one.value for one in model.parameters}
+    told: dict[str, list[float]] = {}
+    for one, answer in answers:
+        every = {name: value for name, (_, _, value) in answer.recalibration.items()}
+        every |= answer.corrected if after else {}
+        _into_damping(one.joint.output, every, answer)
+        for name, value in every.items():
+            if name in stated:
+                told[name] = [value]
+            elif (mass := name.removesuffix("_ratio")) in stated:
+                told.setdefault(mass, []).append(value * stated[mass])
+    return {name: float(np.mean(values)) for name, values in told.items()}
+
+
+def _into_damping(joint: str, values: dict[str, float], answer: Diagnosis) -> None:
+    """Give the joint's damping what its servo's rate gain changed by: the whole robot has the sum in one place."""
+    damping = f"{joint}_damping"
+    for name in [name for name in values if name.endswith("_kv")]:
+        values[damping] = max(values[damping] + values.pop(name) - answer.recalibration[name][0], 0.0)
+
+
+def _errors(found: Prescribed, model: Model) -> FloatArray:
+    """Return the root mean square of measured minus simulated of every joint, whole trials simulated at once."""
+    data = found.dataset
+    names = [one.name for one in data.outputs]
+    columns = [names.index(one.output) for one in found.robot.joints]
+    model = model.with_between({one.name: one.between for one in data.inputs})
+    squares, count, substeps = np.zeros(len(columns)), 0, None
+    for trial, (q, rate, _) in zip(data.trials, found.motions, strict=True):
+        known = dict(zip(names, trial.outputs[0].tolist(), strict=True))
+        known |= {joint.output: float(q[0, k]) for k, joint in enumerate(found.robot.joints)}
+        known |= {f"{joint.output}_rate": float(rate[0, k]) for k, joint in enumerate(found.robot.joints)}
+        begin = np.array([known.get(state, 0.0) for state in model.states])
+        if substeps is None:
+            substeps = suggest_substeps(
+                model,
+                trial.time_s[:50],
+                trial.inputs[:50],
+                initial_state=begin,
+                tolerance=1e-3,
+                most=_MOST_SUBSTEPS,
+            )
+        made = simulate(
+            model,
+            trial.time_s,
+            trial.inputs,
+            initial_state=begin,
+            condition=trial.condition,
+            substeps=substeps,
+        )
+        squares += np.sum((trial.outputs[:, columns] - made.outputs[:, columns]) ** 2, axis=0)
+        count += len(trial.time_s)
+    return np.sqrt(squares / max(count, 1))
