@@ -39,12 +39,15 @@ class VerdictBasis:
     def left_is_gap(self) -> bool:
         """Whether what is left is plainly no noise.
 
-        Its kind says so: motion and inputs predict it, or its spectrum has lines. Or its size: where repeats tell the
-        noise, far above what that leaves; without them, more than any sensor adds.
+        Its kind says so: its spectrum has lines, or motion and inputs predict it, where it is no smaller than the noise
+        of a sample or, with repeats, well above what these leave. Or its size: where repeats tell the noise, far above
+        what that leaves; without them, more than any sensor adds.
         """
         if not self.remains or self.sizes.after < criteria.SMALL_GAP_UNEXPLAINED:
             return False
-        if self.beyond_scatter.learnable >= criteria.LEARNABLE or self._has_lines:
+        least = criteria.BEYOND_FLOOR * self.sizes.floor if self.noise_known else 1.0
+        learned = self.beyond_scatter.learnable >= criteria.LEARNABLE and self.sizes.after >= least
+        if learned or self._has_lines:
             return True
         if not self.noise_known:
             return self._of_no_sensor

@@ -61,6 +61,16 @@ def test_a_share_whose_interval_holds_none_may_help_nothing():
 
 
 @pytest.mark.parametrize(
+    ("after", "repeated", "gap"),
+    [(0.44, False, False), (1.2, False, True), (0.31, True, False), (0.5, True, True)],
+)
+def test_a_small_rest_that_can_be_learned_is_a_gap_only_well_above_what_noise_leaves(after, repeated, gap):
+    sizes = (15.0, after, after, 0.26)
+    assert nothing_found(sizes=sizes, learnable=0.9, size=0.5, repeated=repeated).left_is_gap == gap
+    assert nothing_found(sizes=sizes, chance_of_lines=1e-9, size=0.5, repeated=repeated).left_is_gap
+
+
+@pytest.mark.parametrize(
     ("share", "repeated", "stands"),
     [
         ((0.91, -0.07, 0.91), True, True),  # a condition that the parameters take up
