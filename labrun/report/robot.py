@@ -53,6 +53,12 @@ def size_lines(found: RobotDiagnosis) -> list[str]:
             whole = cause.name.effect in _OF_THE_WHOLE
             told = f"{cause_words(cause)}, told by {one.joint.name}" if whole else cause.name.words
             lines.append(f"{told}: {sizes_of(cause)}")
+    return [*lines, *whole_lines(found)]
+
+
+def whole_lines(found: RobotDiagnosis) -> list[str]:
+    """Return a line of sizes for a tilt and a load, as the whole robot has them."""
+    lines = []
     for effect, _, values in found.whole:
         if units := _OF_THE_WHOLE.get(effect):
             sizes = ", ".join(f"{name} {number(value, 3)} {units[name]}" for name, value in values.items())
@@ -105,6 +111,7 @@ def robot_page(found: RobotDiagnosis) -> str:
         {
             "title": f"{found.name}, joint by joint",
             "r": found,
+            "whole": whole_lines(found),
             "links": [(one["anchor"], one["joint"]) for one in sections],
             "picture": drawn(
                 lambda: robot_figure(found), "robot", "Every joint's gap before and after its causes"

@@ -34,5 +34,7 @@ def test_a_load_is_told_with_the_joints_that_tell_it_its_unit_and_its_place():
     )
 
 
-def test_the_page_says_the_unit_of_a_load():
-    assert "[0.280, 0.340] kg" in robot_page(robot_with_a_load()).replace("\u00a0", " ")
+def test_the_page_says_the_unit_of_a_load_and_its_place():
+    page = robot_page(robot_with_a_load()).replace("\u00a0", " ")
+    assert "[0.280, 0.340] kg" in page
+    assert "payload of the whole robot: mass 0.3 kg, x 0.01 m" in page
