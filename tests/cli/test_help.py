@@ -123,6 +123,17 @@ def test_a_word_that_is_no_choice_is_told_with_the_choices_alone(tmp_path):
     assert "'--kind': 'swep' is not one of 'run', 'sweep'" in done.stderr
 
 
+def assert_ends_with_one_line(program: str) -> None:
+    """Assert that a program that Ctrl-C meets ends with 130, one line on standard error and nothing else."""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 130
+    assert done.stdout == ""
+    assert done.stderr.startswith("labrun: interrupted by Ctrl-C")
+    assert len(done.stderr.splitlines()) == 1
+
+
 @pytest.mark.parametrize("reading", ["labrun.cli.app", "labrun.cli.gap", "labrun.app.logs"])
 def test_ctrl_c_while_the_program_is_being_read_ends_it_in_one_line(reading):
     """At the imports that every command takes, and at those of one."""
@@ -137,13 +148,7 @@ sys.meta_path.insert(0, Interrupting())
 sys.argv = ["labrun", "import", "log.csv", "--model", "arm.xml"]
 main()
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
-    )
-    assert done.returncode == 130
-    assert done.stdout == ""
-    assert done.stderr.startswith("labrun: interrupted by Ctrl-C")
-    assert len(done.stderr.splitlines()) == 1
+    assert_ends_with_one_line(program)
 
 
 def test_ctrl_c_in_a_callback_of_compiled_code_which_drops_it_ends_the_program_all_the_same():
@@ -163,13 +168,7 @@ sys.meta_path.insert(0, Compiling())
 sys.argv = ["labrun", "import", "log.csv", "--model", "arm.xml"]
 main()
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
-    )
-    assert done.returncode == 130
-    assert done.stdout == ""
-    assert done.stderr.startswith("labrun: interrupted by Ctrl-C")
-    assert len(done.stderr.splitlines()) == 1
+    assert_ends_with_one_line(program)
 
 
 def test_ctrl_c_while_a_command_is_being_parsed_is_told(monkeypatch, capsys):
