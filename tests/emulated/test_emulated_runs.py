@@ -18,7 +18,9 @@ RUNS = [
     # 1.5 mrad a camera; and the release falls between two points of the bench's time grid of 5 ms, at some 2 rad/s
     pytest.param("hinge", "run", "cameras.angle", 8e-3, 2, [], id="hinge"),
     # vortices
-    pytest.param("turn-torque", "cmaes", "wrench.torque_z", 6e-3, 6, ["fins"], id="turn-torque"),
+    pytest.param(
+        "turn-torque", "cmaes", "wrench.torque_z", 6e-3, 6, ["fins"], id="turn-torque", marks=pytest.mark.slow
+    ),
     # 5 mN m a sensor, and vortices
     pytest.param("fin-params", "sweep", "wrench.torque_y", 12e-3, 5, ["tail"], id="fin-params"),
 ]

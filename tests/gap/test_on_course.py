@@ -93,6 +93,7 @@ def test_a_balanced_plant_follows_what_was_measured_of_it() -> None:
         assert np.sqrt(np.mean(np.square(given.outputs - trial.outputs)[later])) < 3 * 5e-4
 
 
+@pytest.mark.slow
 def test_dry_friction_of_a_balanced_stick_is_found() -> None:
     found = diagnose_dataset(balanced(0.02), stick(), Options(places=False))
     assert [str(one.name) for one in found.causes] == ["coulomb-friction at pivot"]
