@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from labrun.arrays import FloatArray
 from labrun.devices.clock import Clock
@@ -14,6 +13,7 @@ from labrun.devices.pacing import Pacing
 from labrun.devices.samples import Channel, Samples
 from labrun.devices.trajectory import Trajectory
 from labrun.errors import DeviceError
+from labrun.toml import Keys
 
 
 class Scene(Protocol):
@@ -263,13 +263,11 @@ class Remark:
         return asdict(self)
 
 
-class DeviceSettings(BaseModel):
+class DeviceSettings(Keys):
     """What every device of an experiment file may say; a plugin's own settings extend it.
 
     A field of type `Port` is checked to exist before a run on hardware.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     example: ClassVar[str] = ""
     """Keys to start from, in TOML with comments: what `labrun new` writes for the device."""

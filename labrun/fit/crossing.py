@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
@@ -19,7 +19,7 @@ from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.spec import condition_text
 from labrun.store import Run, TrialOutcome, is_recording, open_run
-from labrun.toml import suggest
+from labrun.toml import Keys, suggest
 
 _RESAMPLES = 2000
 _GRID = 401
@@ -27,7 +27,7 @@ _OPEN_SHARE = 0.025
 """If more of the resamples than that do not cross, the interval has no end on that side."""
 
 
-class CurveTable(BaseModel):
+class CurveTable(Keys):
     """Keys of ``[fit.settings.one]`` and ``[fit.settings.other]``.
 
     Attributes
@@ -44,16 +44,14 @@ class CurveTable(BaseModel):
         The objective is multiplied by it first, to turn it round (-1).
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     objective: str
     experiment: str | None = None
-    where: dict[str, float | str] = {}
+    where: dict[str, float | str] = Field(default_factory=dict)
     powers: Annotated[tuple[float, ...], Field(min_length=1)] = (0, 1, 2)
     scale: float = 1.0
 
 
-class CrossingSettings(BaseModel):
+class CrossingSettings(Keys):
     """Keys of ``[fit.settings]``.
 
     Attributes
@@ -72,14 +70,12 @@ class CrossingSettings(BaseModel):
         Where along `over` the levels' first curves are compared as well.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     over: str
     one: CurveTable
     other: CurveTable | None = None
     level: float = 0.0
     by: str | None = None
-    names: dict[str, str] = {}
+    names: dict[str, str] = Field(default_factory=dict)
     gain_at: float | None = None
 
 

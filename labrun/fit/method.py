@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, cast
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from labrun import registry
 from labrun.errors import RequestError
 from labrun.fit.result import FitSummary
 from labrun.models import Model
-from labrun.toml import dotted, validate
+from labrun.toml import Keys, dotted, validate
 
 Note = Callable[[str], None]
 """Told, in a few words, what is being done now."""
@@ -107,22 +107,20 @@ class FitPlugin(Protocol):
         ...
 
 
-Keys = TypeVar("Keys", bound=BaseModel)
+OwnKeys = TypeVar("OwnKeys", bound=BaseModel)
 
 
-class WithSettings(Generic[Keys]):
+class WithSettings(Generic[OwnKeys]):
     """A fit that keeps its settings; a plugin may, but need not, inherit from it."""
 
     Settings: ClassVar[type[BaseModel]]
 
-    def __init__(self, settings: Keys) -> None:
+    def __init__(self, settings: OwnKeys) -> None:
         self._settings = settings
 
 
-class NoSettings(BaseModel):
+class NoSettings(Keys):
     """Settings of a fit without keys of its own."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def is_method(name: str) -> bool:

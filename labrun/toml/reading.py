@@ -17,11 +17,17 @@ from labrun.toml.faults import Fault, KeyPath, LocatedFault, dotted, locate, ref
 from labrun.toml.names import UNITS, convert, nearest, same_quantity, split_unit, suggest, unit_of
 
 
-class Table(BaseModel):
-    """A table of our files: unknown keys are errors, values do not change."""
+class Keys(BaseModel):
+    """Keys of a table: unknown ones are errors, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Table(Keys):
+    """A table of our files."""
 
     # Strict: TOML has types of its own, and `repeats = "3"` is a slip of the pen, not a number.
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
 
 class PluginTable(BaseModel):

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import (
     BaseModel,
-    ConfigDict,
     Field,
     NonNegativeFloat,
     PositiveFloat,
@@ -38,7 +37,7 @@ from labrun.learned import (
 )
 from labrun.spec import loads_experiment
 from labrun.store import open_run
-from labrun.toml import UNITS
+from labrun.toml import UNITS, Keys
 
 _FEWEST = 50
 _BLOCKS = 10
@@ -106,7 +105,7 @@ def known_inverse(name: str) -> str:
     return name
 
 
-class NetworkTable(BaseModel):
+class NetworkTable(Keys):
     """One network of a fit.
 
     Attributes
@@ -116,8 +115,6 @@ class NetworkTable(BaseModel):
     inverse
         Learn what this analytic inverse leaves, instead of the outputs themselves.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     hidden: tuple[PositiveInt, ...] = (4, 4)
     activation: Activation = "identity"
@@ -134,7 +131,7 @@ class NetworkTable(BaseModel):
         return Training(self.hidden, self.activation, self.solver, self.alpha, self.most_iterations)
 
 
-class DataTable(BaseModel):
+class DataTable(Keys):
     """Which signals are learned from and to.
 
     Attributes
@@ -151,12 +148,10 @@ class DataTable(BaseModel):
         Share of the trials that is withheld from training.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     inputs: Annotated[dict[str, SignalTable], Field(min_length=1)]
     outputs: Annotated[dict[str, SignalTable], Field(min_length=1)]
     unit: str = ""
-    where: dict[str, float | str] = {}
+    where: dict[str, float | str] = Field(default_factory=dict)
     rate_hz: PositiveFloat = 20.0
     withhold: Annotated[float, Field(gt=0, lt=1)] = 0.25
 
@@ -200,7 +195,9 @@ class DataTable(BaseModel):
 class MlpSettings(DataTable):
     """Keys of the fit: the data, and networks by name; each is written as NAME.toml and NAME.npz."""
 
-    networks: Annotated[dict[str, NetworkTable], Field(min_length=1)] = {"mlp": NetworkTable()}
+    networks: Annotated[dict[str, NetworkTable], Field(min_length=1)] = Field(
+        default_factory=lambda: {"mlp": NetworkTable()}
+    )
 
 
 @dataclass(frozen=True, slots=True)

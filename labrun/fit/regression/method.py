@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat
+from pydantic import BaseModel, Field, NonNegativeFloat, PositiveFloat
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
@@ -16,7 +16,7 @@ from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Role, Stack, TextTable
 from labrun.fit.signals import SignalSet, SignalTable, SignalTrial, joined, load_signals, trailing_mean
 from labrun.fit.uncertainty import resample_trials
-from labrun.toml import suggest
+from labrun.toml import Keys, suggest
 
 BASKETS: dict[str, list[str]] = {
     "a,b": ["a", "b"],
@@ -178,7 +178,7 @@ _FEW = 3
 """Fewer trials than this are cut into blocks of time."""
 
 
-class LeastSquaresSettings(BaseModel):
+class LeastSquaresSettings(Keys):
     """Keys of ``[fit.settings]``.
 
     Attributes
@@ -203,12 +203,10 @@ class LeastSquaresSettings(BaseModel):
         Of X'X: a basket above it is not taken.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     inputs: Annotated[dict[str, SignalTable], Field(min_length=1)]
     outputs: Annotated[dict[str, SignalTable], Field(min_length=1)]
     baskets: Annotated[dict[str, Annotated[list[str], Field(min_length=1)]], Field(min_length=1)] = BASKETS
-    units: dict[str, str] = {}
+    units: dict[str, str] = Field(default_factory=dict)
     intercept: bool = False
     delay_s: NonNegativeFloat = 0.0
     average: Literal["none", "cycle"] = "cycle"

@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
+from pydantic import BaseModel, Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
@@ -28,8 +28,8 @@ from labrun.fit.transfer.fitting import (
 from labrun.fit.transfer.transfer_function import Hold, TransferFunction
 from labrun.fit.uncertainty import correlation_length
 from labrun.store import is_recording, read_recording
+from labrun.toml import Keys
 
-_KEYS = ConfigDict(extra="forbid", frozen=True)
 _CLOSE = 0.1
 _LOOSE = 3.0
 """A lag whose interval spans more than this factor is not known by itself."""
@@ -306,18 +306,16 @@ _DEFINED = 0.25
 """A direction counts where the force is at least this share of its median in the trial."""
 
 
-class ResponseTable(BaseModel):
+class ResponseTable(Keys):
     """One response: which trials, from what to what, and when.
 
     `input_unit` is for an input whose unit nothing states, as a named part of a gait.
     """
 
-    model_config = _KEYS
-
     input: SignalTable
     output: SignalTable
     input_unit: str | None = None
-    where: dict[str, float | str] = {}
+    where: dict[str, float | str] = Field(default_factory=dict)
     from_s: NonNegativeFloat = 0.0
     to_s: PositiveFloat | None = None
 
@@ -406,10 +404,8 @@ def _stated_hold(target: Path, channel: str) -> Hold | None:
     return "constant" if between == "hold" else "linear"
 
 
-class FopdtSettings(BaseModel):
+class FopdtSettings(Keys):
     """Keys of the fit: a response by each name."""
-
-    model_config = _KEYS
 
     responses: dict[str, ResponseTable] = Field(min_length=1)
 
@@ -425,10 +421,8 @@ class FopdtFit(WithSettings[FopdtSettings]):
         return summarise("fopdt", fits, signals)
 
 
-class TransferFunctionSettings(BaseModel):
+class TransferFunctionSettings(Keys):
     """Keys of the fit: order, dead time, and either `input` and `output` or `responses`, as fopdt has them."""
-
-    model_config = _KEYS
 
     poles: int = Field(default=2, ge=1, le=8)
     zeros: int = Field(default=0, ge=0)
@@ -438,10 +432,10 @@ class TransferFunctionSettings(BaseModel):
     input: SignalTable | None = None
     input_unit: str | None = None
     output: SignalTable | None = None
-    where: dict[str, float | str] = {}
+    where: dict[str, float | str] = Field(default_factory=dict)
     from_s: NonNegativeFloat = 0.0
     to_s: PositiveFloat | None = None
-    responses: dict[str, ResponseTable] = {}
+    responses: dict[str, ResponseTable] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _proper(self) -> Self:

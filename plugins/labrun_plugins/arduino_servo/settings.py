@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from typing import ClassVar, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, NonNegativeInt, model_validator
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, model_validator
 
 from labrun.devices import DeviceError, DeviceSettings, FloatArray, Limits, Port, Trajectory
 from labrun.errors import LimitExceededError
+from labrun.toml import Keys
 
 KIND = "labservo"
 """What the firmware says it is."""
@@ -17,7 +18,7 @@ PULSE_US = (500, 2500)
 """Pulse widths of the firmware: no servo takes others."""
 
 
-class Joint(BaseModel):
+class Joint(Keys):
     """One servo.
 
     Attributes
@@ -33,8 +34,6 @@ class Joint(BaseModel):
     pulse_us
         Least and greatest pulse width the servo gets, whatever the limits of the angle.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     pin: NonNegativeInt | None = None
     sign: Literal[-1, 1] = 1

@@ -2,9 +2,10 @@
 
 from typing import ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, field_validator, model_validator
+from pydantic import Field, PositiveInt, field_validator, model_validator
 
 from labrun.devices import Channel, DeviceSettings, Port
+from labrun.toml import Keys
 
 BAUD_CODES = {
     9_600: 0,
@@ -22,13 +23,11 @@ Quantity = Literal["angle", "speed", "current", "load"]
 _UNITS: dict[Quantity, str] = {"angle": "rad", "speed": "rad/s", "current": "A", "load": "1"}
 
 
-class Joint(BaseModel):
+class Joint(Keys):
     """One servo: its id on the bus, its sense of rotation, and the servo angle at which the joint stands at zero.
 
     The servo's own angle is zero in the middle of its turn, at 2048 of 4096 counts.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     id: int = Field(ge=0, le=252)
     sign: Literal[-1, 1] = 1

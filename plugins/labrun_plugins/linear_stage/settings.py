@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
 
 from labrun.devices import DeviceSettings, FloatArray, Port
+from labrun.toml import Keys
 
 FULL_SCALE_COUNTS = 0x7FFFFF
 """Greatest value of an HX711; its least is one beyond on the other side. At either it is clipped."""
@@ -154,10 +155,8 @@ _NM = 1e-9
 """Slack when lengths in mm and m are compared."""
 
 
-class Lever(BaseModel):
+class Lever(Keys):
     """A joint that the stage bends: the equivalent angle is the displacement over this lever."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     lever_mm: PositiveFloat
 

@@ -3,9 +3,10 @@
 from ipaddress import IPv4Address
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from labrun.devices import DeviceSettings, EulerAngles, HingeAngle, Port, unknown_bodies
+from labrun.toml import Keys
 
 MOST_SILENT_S = 0.5
 """The runner takes a sensor without samples for lost after this long, without knowing why."""
@@ -13,10 +14,8 @@ MOST_SILENT_S = 0.5
 Bitstream = Annotated[str, Field(pattern=r"^\d{1,2}\.\d{1,2}$")]
 
 
-class Angle(BaseModel):
+class Angle(Keys):
     """A joint angle taken from a body's orientation: its turn about `axis` (fixed in the room)."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     body: str
     axis: tuple[float, float, float]

@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat
+from pydantic import Field, NonNegativeFloat
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, Health, Identity, Scene, opened
+from labrun.toml import Keys
 
 
-class Faults(BaseModel):
+class Faults(Keys):
     """Bad days on request. Times run from `open`.
 
     Attributes
@@ -26,8 +27,6 @@ class Faults(BaseModel):
     drop_share
         Share of a sensor's samples that never arrive, besides those that get lost anyway.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     stop_answering_after_s: NonNegativeFloat | None = None
     nonsense_after_s: NonNegativeFloat | None = None

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray, Scene, Trajectory
 from labrun.models import kernel
+from labrun.toml import Keys
 from labrun_plugins.simulated.bench import packed, unpacked
 from labrun_plugins.simulated.device import SimulatedDevice, SimulatedSettings
 
@@ -310,10 +311,8 @@ _SHAFT = Shaft(
 )  # fmt: skip
 
 
-class Joint(BaseModel):
+class Joint(Keys):
     """One joint: a servo with sign -1 is mounted the other way round."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     sign: Literal[-1, 1] = 1
 

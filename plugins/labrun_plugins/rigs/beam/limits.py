@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, PositiveFloat
+from pydantic import BaseModel, PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.errors import ExperimentError
+from labrun.toml import Keys
 
 _AT_THE_ENDS = 0.03
 """Share of the way, at either end, where the loop between the ways closes."""
@@ -114,10 +115,8 @@ def _snap(angle: FloatArray, torque: FloatArray, turn: int) -> BucklingLimit:
     return BucklingLimit("opposite", peak - max(float(np.median(half)), 0.0), reached)
 
 
-class BucklingLimitSettings(BaseModel):
+class BucklingLimitSettings(Keys):
     """Keys of the objective: the channel of the displacement, m, and the lever that makes it an angle."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     over: str
     lever_mm: PositiveFloat = 100.0

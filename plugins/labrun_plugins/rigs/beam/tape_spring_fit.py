@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
+from pydantic import BaseModel, Field, PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.errors import FitError
@@ -37,6 +37,7 @@ from labrun.fit import (
     mean_estimate,
 )
 from labrun.models import Output
+from labrun.toml import Keys
 from labrun_plugins.rigs.beam.limits import BucklingLimit, buckling_limit
 
 Width = Literal["arc", "chord"]
@@ -137,7 +138,7 @@ def shape_functions(size: float) -> tuple[float, float]:
 _SENSES = ("equal", "opposite")
 
 
-class TapeSpringSettings(BaseModel):
+class TapeSpringSettings(Keys):
     """Keys of ``[fit.settings]``.
 
     Attributes
@@ -151,8 +152,6 @@ class TapeSpringSettings(BaseModel):
     young_gpa, poisson
         Of the sheet; Poisson's ratio is not in the source (0.35 for polyester).
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     beam: str = "long"
     lever_mm: PositiveFloat = 100.0

@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, PositiveFloat
+from pydantic import BaseModel, PositiveFloat
 
 from labrun.errors import FitError
 from labrun.fit import FitJob, FitSummary, FittedData, WithSettings
+from labrun.toml import Keys
 from labrun_plugins.rigs.hinge.body import FOUND
 from labrun_plugins.rigs.hinge.map_findings import (
     coefficient_table,
@@ -26,7 +27,7 @@ _QUANTITIES: tuple[Quantity, ...] = ("damping", "stiffness")
 _ALIKE = 1e-6
 
 
-class HingeMapsSettings(BaseModel):
+class HingeMapsSettings(Keys):
     """What the conditions of the trials do not say, and which estimate of each release the maps go through.
 
     Attributes
@@ -36,8 +37,6 @@ class HingeMapsSettings(BaseModel):
     way
         "simulation" (output error) or "fourier" (chapter 3's: Fourier series, differentiated, least squares).
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     width_mm: PositiveFloat | None = None
     length_mm: PositiveFloat | None = None

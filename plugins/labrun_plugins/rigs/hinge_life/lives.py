@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from labrun.devices import FloatArray
 from labrun.errors import FitError, RequestError
@@ -26,7 +26,7 @@ from labrun.fit import (
     condition_text,
     open_run,
 )
-from labrun.toml import nearest
+from labrun.toml import Keys, nearest
 
 CYCLES = "cycles"
 _DRAWS = 4000
@@ -35,7 +35,7 @@ _SHAPES = (0.05, 200.0)
 """Shapes between which the likelihood is searched; lives that differ by less than a per cent have none."""
 
 
-class LifeSettings(BaseModel):
+class LifeSettings(Keys):
     """Keys of ``[fit.settings]``.
 
     Attributes
@@ -45,8 +45,6 @@ class LifeSettings(BaseModel):
     load
         Objective whose course over the cycles is told; none if it is not there.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     specimen: str = "specimen"
     load: str = "peak_torque"

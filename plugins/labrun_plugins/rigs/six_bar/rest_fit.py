@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, NonNegativeFloat
+from pydantic import BaseModel, NonNegativeFloat
 from scipy.optimize import OptimizeWarning, curve_fit
 
 from labrun.devices import FloatArray
@@ -26,13 +26,14 @@ from labrun.fit import (
     mean_estimate,
 )
 from labrun.models import ClosedChain, Output, load_model, simulate
+from labrun.toml import Keys
 
 _JOINTS = tuple(f"theta_{number}" for number in range(1, 7))
 _SWINGING = ("theta_5", "theta_6")
 """The joints of the end-effector, whose swing the source looks at."""
 
 
-class RestSettings(BaseModel):
+class RestSettings(Keys):
     """Keys of ``[fit.settings]``.
 
     Attributes
@@ -40,8 +41,6 @@ class RestSettings(BaseModel):
     skip_s
         Beginning of a trial that is left out: the faster motions die out there.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     skip_s: NonNegativeFloat = 2.0
 

@@ -4,13 +4,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError
+from pydantic import BaseModel, Field, PositiveFloat, ValidationError
 
 from labrun.errors import SpecError
 from labrun.models import native
+from labrun.toml import Keys
 
 
-class SpiralSettings(BaseModel):
+class SpiralSettings(Keys):
     """Keys of `spm-spiral`.
 
     Attributes
@@ -19,8 +20,6 @@ class SpiralSettings(BaseModel):
         The end-effector's normal turns so often about the vertical while it leans out to `farthest_deg` and comes
         back, in `period_s`; then it begins again. The source states 30 s.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     turns: PositiveFloat = 4.0
     farthest_deg: float = Field(default=30.0, gt=0.0, le=60.0)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, PositiveFloat
+from pydantic import BaseModel, PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.errors import FitError
@@ -36,6 +36,7 @@ from labrun.fit import (
     mean_estimate,
 )
 from labrun.models import Output
+from labrun.toml import Keys
 
 _BACKWARDS = 1e-4
 """Strain that a strip may seem to lose on its way out: steps and play of a stage, not a way back."""
@@ -187,7 +188,7 @@ _QUANTITIES: tuple[tuple[str, str, Callable[[TensileCurve], float]], ...] = (
 )
 
 
-class TensileSettings(BaseModel):
+class TensileSettings(Keys):
     """Keys of ``[fit.settings]``.
 
     Attributes
@@ -201,8 +202,6 @@ class TensileSettings(BaseModel):
     hinge_length_mm
         Of a hinge of this sheet, whose allowable angle is told.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     thickness_mm: PositiveFloat = 0.127
     width_mm: PositiveFloat = 15.0

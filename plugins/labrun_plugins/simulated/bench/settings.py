@@ -3,28 +3,27 @@
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, NonNegativeFloat, ValidationError
+from pydantic import Field, NonNegativeFloat, ValidationError
 
 from labrun.errors import SpecError
+from labrun.toml import Keys
 
 Settings = TypeVar("Settings", bound="BenchSettings")
 
 
-class HiddenEffect(BaseModel):
+class HiddenEffect(Keys):
     """An effect that the bench has and its model lacks; values not given are typical of the bench.
 
     `kind` is that of its site; needed only where sites of two kinds share a name and the effect fits both.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     effect: str
     site: str
     kind: Literal["joint", "body", "input", "output"] | None = None
-    values: dict[str, float] = {}
+    values: dict[str, float] = Field(default_factory=dict)
 
 
-class BenchSettings(BaseModel):
+class BenchSettings(Keys):
     """Settings that every bench has.
 
     Attributes
@@ -42,11 +41,9 @@ class BenchSettings(BaseModel):
         that this model lacks; and keep the memory of the bench in a form that tells nobody what that is.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     hide: tuple[HiddenEffect, ...] = ()
-    parameters: dict[str, float] = {}
-    true_parameters: dict[str, float] = {}
+    parameters: dict[str, float] = Field(default_factory=dict)
+    true_parameters: dict[str, float] = Field(default_factory=dict)
     noise: NonNegativeFloat = 1.0
     as_modelled: bool = False
 
