@@ -1,12 +1,12 @@
 """From a plan to trials: devices and clock, settle, tare, record, repeat; and everything that stops what moves."""
 
 from labrun.devices.clock import RealClock, SimulatedClock
+from labrun.runner.asking import Person, Scripted, Willing
 from labrun.runner.bench import Bench, Handle
 from labrun.runner.damage import worn_before, worn_specimens
 from labrun.runner.doctor import examine_machine, examine_rig, find_devices
 from labrun.runner.measurement import Measurement, ObjectiveError, ObjectiveEvaluation
 from labrun.runner.motion import MotionMaker, TrialMotion, smooth_move
-from labrun.runner.person import Person, Scripted, Willing
 from labrun.runner.plan import ConditionExcess, JointPeak, Plan, Planner, SearchSpace, SpaceBreak, percent
 from labrun.runner.recording import (
     LEAD_S,

@@ -8,12 +8,12 @@ from typing import Protocol, Self
 from labrun.devices import Clock
 from labrun.devices.clock import RealClock
 from labrun.errors import DeviceError, ExperimentError, LimitExceededError, RecordingError
+from labrun.runner.asking import Person, Willing
 from labrun.runner.bench import Bench
 from labrun.runner.by_hand import SET_ASIDE, Mounting, Mountings
 from labrun.runner.damage import Damage, Worn
 from labrun.runner.measurement import OUTLIER, Measurement, Order, block_order, find_outliers, needs_another
 from labrun.runner.motion import MotionMaker
-from labrun.runner.person import Person, Willing
 from labrun.runner.plan import check_wiring
 from labrun.runner.recording import Recorder, TrialRequest, record_planned
 from labrun.runner.rig import Rig

@@ -7,17 +7,15 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from labrun.errors import DeviceError, ExperimentError, LabrunError
-from labrun.runner.asking import Asking, Onlooker
+from labrun.runner.asking import Asking, Onlooker, Person, Willing
 from labrun.runner.bench import Bench
 from labrun.runner.damage import Damage
 from labrun.runner.measurement import ObjectiveError, ObjectiveEvaluation
 from labrun.runner.motion import MotionMaker, TrialMotion
-from labrun.runner.person import Person, Willing
 from labrun.runner.recording import Recorder, SampleCollector, TrialRecording, TrialRequest
 from labrun.runner.safety import blaming
-from labrun.runner.settle import Settled, measure_baseline, settle
+from labrun.runner.settle import Settled, measure_baseline, settle, tare
 from labrun.runner.stillness import Bounds
-from labrun.runner.tare import tare
 from labrun.spec import Experiment, Settle, condition_text
 from labrun.store import RunFolder, TrialOutcome, TrialWriter, json_ready
 

@@ -22,14 +22,13 @@ from labrun.estimate import Estimate
 from labrun.fit.result import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.method import TransferSummary
-from labrun.fit.tuning.designs import ControllerDesign
+from labrun.fit.tuning.designs import ControllerDesign, Study, study
 from labrun.fit.tuning.loop import Gains, OpenLoop, margins, ultimate
 from labrun.fit.tuning.method import FittedPlant, plant_of, summary
 from labrun.fit.tuning.optimum import loop_error, optimum
 from labrun.fit.tuning.response import run_loop
 from labrun.fit.tuning.settings import PidFitSettings
 from labrun.fit.tuning.simc import Reduced, reduce_order, rules, simc
-from labrun.fit.tuning.study import Study, study
 from labrun.fit.tuning.summary import shown_designs
 from labrun.spec import load_named
 

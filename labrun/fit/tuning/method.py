@@ -13,9 +13,8 @@ from labrun.fit.method import FitJob, WithSettings, make_method
 from labrun.fit.result import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction, TransferSummary
 from labrun.fit.tuning import summary as words
-from labrun.fit.tuning.designs import as_json, controllers_toml
+from labrun.fit.tuning.designs import Study, as_json, controllers_toml, study
 from labrun.fit.tuning.settings import PidFitSettings
-from labrun.fit.tuning.study import Study, study
 from labrun.json_numbers import finite
 from labrun.store import is_recording, open_run
 from labrun.toml import suggest

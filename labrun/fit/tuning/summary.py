@@ -9,10 +9,9 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit.result import Curve, FigureData, Panel, Stack, TextTable
-from labrun.fit.tuning.designs import ControllerDesign
+from labrun.fit.tuning.designs import MOST_OVERSHOOT, ControllerDesign, Errors, Study, lost
 from labrun.fit.tuning.loop import OpenLoop, ultimate
 from labrun.fit.tuning.response import UNBOUNDED
-from labrun.fit.tuning.study import MOST_OVERSHOOT, Errors, Study, lost
 
 _CATCHES_UP = 1.6
 """First arch over second, above which a controller only follows after the first."""

@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from labrun_plugins.dynamixel import emulated_packets as wire
 from labrun_plugins.dynamixel.codec import StatusParser
-from labrun_plugins.dynamixel.emulated_bus import EmulatedBus
 from labrun_plugins.dynamixel.emulated_servo import EmulatedServo, EmulatedShaft, Table
-from labrun_plugins.dynamixel.emulator import DynamixelEmulator
+from labrun_plugins.dynamixel.emulator import DynamixelEmulator, EmulatedBus
 from labrun_plugins.simulated.dynamixel import SimulatedDynamixelSettings
 
 from labrun.devices.emulation import EmulatorContext, EmulatorLog, Faults
