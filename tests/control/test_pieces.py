@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.control.pieces import Pieces
+from labrun.control.closed_loop import Pieces
 from labrun.gaits import make_gait, steering_of
 from labrun.spec import GaitTable
 
