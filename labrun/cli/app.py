@@ -71,7 +71,6 @@ def main() -> None:
     """Run the command line."""
     # labrun's matrices are small: BLAS threads would spend ten times the time on waiting for one another
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    gc.set_threshold(
-        100_000, 20, 20
-    )  # what imports make stays: looking for garbage there costs a tenth of a dry run
+    # what imports make stays: looking for garbage there costs a tenth of a dry run
+    gc.set_threshold(100_000, 20, 20)
     app()

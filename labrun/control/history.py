@@ -48,9 +48,8 @@ class _Track:
         before_s, self._end = self.last_s, self._end + count
         self.last_s = float(self._time_s[self._end - 1])
         self.heard_s = float(block.host_time_s[-1])
-        if (
-            before_s < 0.0 <= self.last_s
-        ):  # what was measured before the recording began was the bench at rest
+        # what was measured before the recording began was the bench at rest
+        if before_s < 0.0 <= self.last_s:
             self._first = int(np.searchsorted(self._time_s[: self._end], 0.0))
 
     def recent(self, row: int) -> tuple[FloatArray, FloatArray]:

@@ -83,9 +83,8 @@ def read_plant(path: Path, response: str | None = None) -> dict[str, Any]:
     data = parsed(text_of(path, kind=SpecError, what="model file"), str(path), kind=SpecError)
     table, _ = response_table(data, f"model file {path}", response)
     found = {key: table[key] for key in _KEYS if key in table}
-    if (
-        "numerator" in found and "denominator" in found
-    ):  # a fit may say both: the coefficients are the whole of it
+    # a fit may say both: the coefficients are the whole of it
+    if "numerator" in found and "denominator" in found:
         found.pop("gain", None)
         found.pop("lag_s", None)
     return found

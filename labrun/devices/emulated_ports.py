@@ -177,9 +177,8 @@ class PtyEndpoint:
         """Put on the line what is due by now; return when the next message is."""
         for message, _ in self._wire.due(now_s):
             if self._master >= 0:
-                with contextlib.suppress(
-                    BlockingIOError
-                ):  # nobody reads: the line's buffer is full, bytes are lost
+                # nobody reads: the line's buffer is full, bytes are lost
+                with contextlib.suppress(BlockingIOError):
                     os.write(self._master, message)
         return self._wire.next_s()
 
@@ -260,9 +259,8 @@ class UdpEndpoint:
         """Send what is due by now; return when the next datagram is."""
         for message, address in self._wire.due(now_s):
             if self.socket is not None:
-                with contextlib.suppress(
-                    OSError
-                ):  # datagrams get lost; that nobody listens is no fault of a sender
+                # datagrams get lost; that nobody listens is no fault of a sender
+                with contextlib.suppress(OSError):
                     self.socket.sendto(message, address)
         return self._wire.next_s()
 

@@ -268,9 +268,8 @@ class Listener:
         try:
             while not ending.is_set():
                 self._receive()
-        except (
-            Exception
-        ) as failure:  # whatever a driver meets on the wire is told by `check`, in the runner's thread
+        # whatever a driver meets on the wire is told by `check`, in the runner's thread
+        except Exception as failure:
             if not ending.is_set():
                 self._failure = failure
 

@@ -108,11 +108,8 @@ def make_gait(table: GaitTable) -> Gait:
     joints = {joint: {key: one.given for key, one in keys.items()} for joint, keys in table.joints.items()}
     try:
         return plugin(joints, {name: part.given for name, part in table.let.items()}, table.settings)
-    except (
-        TypeError,
-        ValueError,
-        SpecError,
-    ) as error:  # ValueError: a third party's own way of refusing its keys
+    # ValueError: a third party's own way of refusing its keys
+    except (TypeError, ValueError, SpecError) as error:
         raise SpecError(f'gait "{table.plugin}": {error}') from error
 
 

@@ -163,9 +163,8 @@ def _candidates(
     every = [(stream, column) for stream in streams for column in stream.columns]
     if given is not None:
         whole = [(stream, column) for stream, column in every if plain(column.name) == plain(given)]
-        told = (
-            one.kind == "output"
-        )  # --map pan=/cmd[0] is about the goal of pan where /cmd says that it is one
+        # --map pan=/cmd[0] is about the goal of pan where /cmd says that it is one
+        told = one.kind == "output"
         fitting = [
             (stream, column)
             for stream, column in whole

@@ -51,9 +51,8 @@ def comparison_text(comparison: Comparison, width: int) -> str:
     if len(comparison.points) > len(shown):
         lines.append(f"  and {len(comparison.points) - len(shown)} more")
     units, errors = comparison.units(), comparison.rmse()
-    if len(comparison.points) > len(errors) or len(comparison.points) > len(
-        shown
-    ):  # else they stand above already
+    # else they stand above already
+    if len(comparison.points) > len(errors) or len(comparison.points) > len(shown):
         lines += ["", "  root mean square of measured - predicted"]
         lines += [
             f"    {channel}: {quantity_text(value, units[channel])}, {_at_worst(comparison, channel)}"

@@ -137,9 +137,8 @@ def _sampled(sweep: Sweep, where: list[Constraint], seed: int) -> list[Condition
         if sobol is None:
             points = rng.random((block, len(intervals)))
         else:
-            with (
-                warnings.catch_warnings()
-            ):  # balance of a power of two does not outlive the constraints anyway
+            # balance of a power of two does not outlive the constraints anyway
+            with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)
                 points = np.asarray(sobol.random(block))
         drawn += block

@@ -196,9 +196,8 @@ def pooled_intervals(
     freedom = sum(len(values) - 1 for values in several)
     squares = sum(float(((values - values.mean()) ** 2).sum()) for values in several)
     unlike = False
-    if (
-        len(several) > 1 and squares > 0.0 and min(map(len, several)) >= _LEAST
-    ):  # of two trials it sees nothing
+    # of two trials it sees nothing
+    if len(several) > 1 and squares > 0.0 and min(map(len, several)) >= _LEAST:
         with np.errstate(divide="ignore"):
             unlike = bool(stats.levene(*several, center="median").pvalue < 1.0 - _SHARE)
     if unlike or not several:

@@ -82,9 +82,8 @@ class Strategy:
         if parents is not None:
             options["CMA_mu"] = parents
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", UserWarning
-            )  # about its own option strings, and one-dimensional searches
+            # about its own option strings, and one-dimensional searches
+            warnings.simplefilter("ignore", UserWarning)
             probe = cma.CMAEvolutionStrategy(start.tolist(), step_size, options)
             wanted = Constants.of(n, int(probe.popsize), float(probe.sp.weights.mueff))
             # pycma multiplies its own c_mu by this option wherever it uses it.

@@ -144,9 +144,8 @@ def _ask(name: str, plugin: Any, settings: BaseModel | None) -> DeviceInfo | Non
         return None
     try:
         device = plugin(name, settings, DeviceContext(clock=_NoClock(), rng=np.random.default_rng(0)))
-    except (
-        Exception
-    ):  # it may need its scene or more; then what it is stays a guess, and the runner will know
+    # it may need its scene or more; then what it is stays a guess, and the runner will know
+    except Exception:
         return None
     return DeviceInfo(
         joints=tuple(device.joints) if hasattr(device, "follow") else (),

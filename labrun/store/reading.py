@@ -173,9 +173,8 @@ def open_run(target: Path) -> Run:
     if target.name == PACKED and beside.is_file():
         packed = _open_packed(target)
         if beside.read_text() == packed.experiment_toml:
-            return _open_folder(
-                target.parent, target
-            )  # its folder may know more: marks and trials since then
+            # its folder may know more: marks and trials since then
+            return _open_folder(target.parent, target)
         return packed
     return _open_packed(target)
 

@@ -116,9 +116,8 @@ class Expression:
                 hint = suggest(name, names, kind="names")
                 raise ExpressionError(self.text, f'unknown name "{name}"; {hint}', self.names[name])
         try:
-            with np.errstate(
-                all="ignore"
-            ):  # what is not finite is found in the result, and said with its names
+            # what is not finite is found in the result, and said with its names
+            with np.errstate(all="ignore"):
                 result = self._compute(names)
         except (TypeError, ValueError, ArithmeticError) as error:
             raise ExpressionError(self.text, f"cannot be computed: {error}{self._values(names)}") from error

@@ -43,9 +43,10 @@ class ClosedChain(Model):
     guesses: Mapping[str, float] = field(kw_only=True)
     resting: tuple[str, ...] = field(kw_only=True, default=())
     held: tuple[str, ...] = field(kw_only=True, default=())
+    # a fit begins the same trial again for every parameter that it tries
     _begun: dict[tuple[object, ...], FloatArray] = field(
         init=False, repr=False, compare=False, default_factory=dict
-    )  # a fit begins the same trial again for every parameter that it tries
+    )
 
     def numbers(
         self, parameters: FloatArray | Mapping[str, float] | None = None, condition: Condition | None = None

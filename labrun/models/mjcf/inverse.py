@@ -80,9 +80,8 @@ def carried(xml: str, joints: list[str], motion: tuple[FloatArray, FloatArray, F
     tilt = []
     still = one.torque(gravity_only=True)
     for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
-        model.opt.gravity[:] = gravity - np.cross(
-            axis, gravity
-        )  # the base turns one way, gravity in it the other
+        # the base turns one way, gravity in it the other
+        model.opt.gravity[:] = gravity - np.cross(axis, gravity)
         tilt.append(one.torque(gravity_only=True) - still)
     model.opt.gravity[:] = gravity
     tip = TipLoad(xml, joints, motion)

@@ -195,9 +195,8 @@ class ArduinoServoEmulator(ServoBoardEmulator):
 
     def open(self) -> Mapping[str, Any]:
         """Plug it in; return how it is reached."""
-        PulsedShaft("warm-up").command(
-            0.1, 0.0
-        )  # the first call compiles, and the wire must not wait for that
+        # the first call compiles, and the wire must not wait for that
+        PulsedShaft("warm-up").command(0.1, 0.0)
         return super().open()
 
     def pulsed(self, channel: int, pulse_us: int, now_s: float) -> None:

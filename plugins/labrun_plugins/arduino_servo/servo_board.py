@@ -178,9 +178,8 @@ class ServoBoard:
         """Return the pulse width of each channel as it was sent last, us; after a stop, as the board has it."""
         self.hello  # noqa: B018 -- raises if it is not open
         self.check()
-        if (
-            self._stopped and self._attached
-        ):  # it stopped on its way to the last set-point: the board knows where
+        # it stopped on its way to the last set-point: the board knows where
+        if self._stopped and self._attached:
             pulses_us = self._status().pulses_us
             self._sent_us = {channel: pulses_us[channel] for channel in self._windows_us}
             self._stopped = False

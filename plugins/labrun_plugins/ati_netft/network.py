@@ -151,9 +151,8 @@ def own_address(device: str, settings: AtiNetFtSettings) -> str:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as asking:
         if wanted is None:
             try:
-                asking.connect(
-                    (settings.host, settings.rdt_port)
-                )  # sends nothing: the system looks up the way
+                # sends nothing: the system looks up the way
+                asking.connect((settings.host, settings.rdt_port))
             except OSError as error:
                 raise DeviceError(
                     device, f"there is no way to {settings.host}: {error.strerror or error}", hint=_CABLE

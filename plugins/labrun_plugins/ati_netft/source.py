@@ -167,9 +167,8 @@ class DatagramSocket:
         age that cannot be, because someone set the clock in between, is bounded by the time of the last look.
         """
         now_s, wall_ns = self._clock.now(), time.clock_gettime_ns(time.CLOCK_REALTIME)
-        words = self._control[:count].view(
-            np.int64
-        )  # cmsghdr: length; level and type; then seconds, nanoseconds
+        # cmsghdr: length; level and type; then seconds, nanoseconds
+        words = self._control[:count].view(np.int64)
         stamped = (words[:, 1] >> 32) == _SCM_TIMESTAMPNS
         age_s = np.where(stamped, 1e-9 * (wall_ns - (words[:, 2] * 1_000_000_000 + words[:, 3])), 0.0)
         oldest_s = min(max(now_s - self._last_look_s, 0.0), _OLDEST_S)

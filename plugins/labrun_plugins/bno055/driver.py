@@ -131,9 +131,8 @@ def probe(port: str) -> Identity | None:
             ids = chip.read(codec.IDS, 7)
         except Silent:
             return None
-        except (
-            Refused
-        ):  # it may have taken the request for the rest of one that a program before left unfinished
+        # it may have taken the request for the rest of one that a program before left unfinished
+        except Refused:
             ids = chip.read(codec.IDS, 7)
         return identity(ids, None, bytes(OFFSET_BYTES)) if ids[0] == codec.CHIP_ID else None
     except (DeviceError, Refused):

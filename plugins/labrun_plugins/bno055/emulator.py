@@ -269,9 +269,8 @@ class Bno055Emulator:
             due_s = min(due_s, self._answers[0][0])
         if self._kept:
             due_s = min(due_s, self._heard_s + _PATIENCE_S)
-        if (
-            now_s - self._read_s < _ASKED_S
-        ):  # between requests, not within one: asking the bench takes its time
+        # between requests, not within one: asking the bench takes its time
+        if now_s - self._read_s < _ASKED_S:
             self._feel(now_s)
             due_s = min(due_s, (self._felt_step + 1) * _STEP_S)
         return due_s

@@ -335,9 +335,8 @@ class Bus:
                 if status.id == BROADCAST:
                     found = split_fast(status, ids, block.size) or {}
                 elif len(status.data) == block.size:
-                    found = (
-                        {} if status.id in found else found
-                    )  # another's answer to the question before was lost
+                    # another's answer to the question before was lost
+                    found = {} if status.id in found else found
                     found[status.id] = status
         return found if len(found) == len(ids) else {}
 

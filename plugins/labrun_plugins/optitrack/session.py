@@ -220,9 +220,8 @@ class Link:
                     datagram, (sender, _port) = one.recvfrom(_MOST)
                 except BlockingIOError:
                     break
-                except (
-                    ConnectionError
-                ):  # nobody listens at the server's port; who needs an answer will notice
+                # nobody listens at the server's port; who needs an answer will notice
+                except ConnectionError:
                     continue
                 host_s = self._clock.now()
                 if sender != self._address[0]:

@@ -314,9 +314,8 @@ class PoseStream:
         self._models_changed = changed
         fault = params & (EDIT_MODE | BITSTREAM_CHANGED)
         self._fault = self._fault or fault
-        if (
-            self._fault or self._session.in_doubt
-        ):  # a fault ends the stream: what comes after it is no sample either
+        # a fault ends the stream: what comes after it is no sample either
+        if self._fault or self._session.in_doubt:
             self._not_measured()
             return
         sample = self._reader.sample(arrival.frame)

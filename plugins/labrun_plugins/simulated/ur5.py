@@ -69,9 +69,8 @@ class SimulatedUr5(SimulatedCarriage, SimulatedSensor):
                 self.name, f"travel to {to_m:g} m leaves {low:g} ... {high:g} m; the move was not sent"
             )
         self._speed_m_s = speed_m_s
-        ramps = (
-            () if acceleration_m_s2 == ACCELERATION_M_S2 else (acceleration_m_s2,)
-        )  # what scenes have by themselves
+        # what scenes have by themselves
+        ramps = () if acceleration_m_s2 == ACCELERATION_M_S2 else (acceleration_m_s2,)
         self.scene.tow(self.position_m(), to_m, speed_m_s, self._clock.now(), *ramps)
 
     def _measure(self, time_s: FloatArray) -> FloatArray:
