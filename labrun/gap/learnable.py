@@ -103,19 +103,17 @@ def _neurons(inside: FloatArray) -> FloatArray:
 
 def _predictions(neurons: FloatArray, wanted: FloatArray, group: FloatArray) -> list[FloatArray]:
     """Return what is predicted of samples whose group was withheld, for several strengths of the ridge."""
-    names = np.unique(group)
-    found = [np.zeros_like(wanted) for _ in criteria.RIDGES]
-    whole, answer = neurons.T @ neurons, neurons.T @ wanted
+    from scipy.linalg import solve
+
+    names, ridges = np.unique(group), np.array(criteria.RIDGES) * len(wanted)
+    found = [np.zeros_like(wanted) for _ in ridges]
+    whole, answer, one = neurons.T @ neurons, neurons.T @ wanted, np.eye(neurons.shape[1])
     for name in names:
         test = group == name
         inside = neurons[test]
-        left = whole - inside.T @ inside
-        values, vectors = np.linalg.eigh(left)
-        turned = vectors.T @ (answer - inside.T @ wanted[test])
-        for predicted, ridge in zip(found, criteria.RIDGES, strict=True):
-            predicted[test] = inside @ (
-                vectors @ (turned / (np.maximum(values, 0.0) + ridge * len(wanted))[:, None])
-            )
+        left, right = whole - inside.T @ inside, answer - inside.T @ wanted[test]
+        for predicted, ridge in zip(found, ridges, strict=True):
+            predicted[test] = inside @ solve(left + ridge * one, right, assume_a="pos")
     return found
 
 

@@ -22,6 +22,7 @@ from labrun.gap.recalibration import (
     fitted_in_own_units,
     in_noise,
     recalibrate,
+    settled_in_own_units,
     unit_remarks,
     unsearched,
     with_deviations,
@@ -207,7 +208,7 @@ def _that_make_up_what_is_left(
 
 def _left_beside(problem: Problem, z: FloatArray, noise: Noise, deviations: Sequence[Deviation]) -> float:
     """Return the part that is left beside deviations, in units of what is left then: else they are taken for noise."""
-    fitted = fitted_in_own_units(noise, *with_deviations(problem, z, deviations))
+    fitted = settled_in_own_units(noise, *with_deviations(problem, z, deviations))
     after, before = mean_residuals(*fitted), mean_residuals(problem, z)
     left, all_of_it = (np.mean(np.square(np.concatenate(one)), axis=0) for one in (after, before))
     return float(np.mean(left / np.where(all_of_it > 0, all_of_it, 1.0)))

@@ -90,17 +90,33 @@ def _for_stated(problem: Problem, z: FloatArray) -> Problem:
 
 
 def fitted_in_own_units(noise: Noise, problem: Problem, z: FloatArray) -> tuple[Problem, FloatArray]:
-    """Fit in units of the noise; where nothing was repeated, of what the fit leaves, until these have settled.
+    """Fit in units of the noise; where nothing was repeated, of what the fit leaves, until these have settled."""
+    if not noise.known:
+        problem, z = settled_in_own_units(noise, problem, z)
+    problem = in_units_of(noise, problem, z)
+    return problem, refit(problem, z)
+
+
+def settled_in_own_units(noise: Noise, problem: Problem, z: FloatArray) -> tuple[Problem, FloatArray]:
+    """Fit in units of what the fit leaves, until these have settled: closely enough to tell how much that is.
 
     Zeros by trial are as large as a hundred times the noise: what is left shrinks with each fit, until they are gone.
     """
-    measured = in_units_of(noise, problem, z)
-    for _ in range(1 if noise.known else criteria.REWEIGHED):
-        z = refit(measured, z)
-        before, measured = measured, measured if noise.known else in_units_of(noise, problem, z)
-        if np.allclose(measured.noise.weights, before.noise.weights, rtol=criteria.UNITS_SETTLED):
+    problem = in_units_of(noise, problem, z)
+    for _ in range(criteria.REWEIGHED):
+        z = minimise(
+            problem,
+            z,
+            tolerance=criteria.FIT_TOLERANCE,
+            evaluations=criteria.FIT_EVALUATIONS,
+            central=False,
+            secant=True,
+            confirmed=False,
+        )
+        before, problem = problem, in_units_of(noise, problem, z)
+        if np.allclose(problem.noise.weights, before.noise.weights, rtol=criteria.UNITS_SETTLED):
             break
-    return measured, z
+    return problem, z
 
 
 def stated_problem(model: Model, data: Dataset) -> Problem:
