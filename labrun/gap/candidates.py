@@ -234,6 +234,13 @@ class Candidate:
         return len(self.quantities)
 
     @property
+    def fitted(self) -> tuple[str, ...]:
+        """Names of the parameters that they are."""
+        if self.attached is None:
+            return ()
+        return tuple(one.name for one in self.attached.effect.parameters if not one.held)
+
+    @property
     def quantities(self) -> tuple[Quantity, ...]:
         """What each of them is."""
         if self.attached is None:

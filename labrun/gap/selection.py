@@ -38,12 +38,12 @@ from labrun.gap.screening import (
     survey,
 )
 
-Forms = frozenset[tuple[Name, int]]
-"""A set of causes, each with the number of its variables, which tells whether its shape is fitted."""
+Forms = frozenset[tuple[Name, tuple[str, ...]]]
+"""A set of causes, each with what of it is fitted: its shape or not, and which."""
 
 
 def _forms(added: Sequence[Candidate]) -> Forms:
-    return frozenset((one.name, one.variables) for one in added)
+    return frozenset((one.name, one.fitted) for one in added)
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ class Selector:
         first = self._round(self.base)
         chosen, rounds = self._forward()
         if len(chosen) > 1:
-            chosen, rounds = self._exchanged(chosen)
+            chosen, rounds = self._once_more(*self._exchanged(chosen))
         if len(chosen) > 2:
             chosen, rounds = self._fewer(chosen, rounds)
         while len(chosen) > 1 and (kept := self._without_nothing(chosen)):
@@ -307,6 +307,14 @@ class Selector:
         if len(chosen) == 1:
             chosen = [self._alone(chosen[0])]
         return chosen, [self._round(self.base), *self._beyond(chosen[-1])]
+
+    def _once_more(self, chosen: list[Chosen], rounds: list[Round]) -> tuple[list[Chosen], list[Round]]:
+        """Take in one cause more beside those that others gave way to: it was not asked for beside these."""
+        last = chosen[-1]
+        if not 1 < len(chosen) < criteria.MOST_CAUSES or not self._room(last.held_out, len(chosen)):
+            return chosen, rounds
+        one = self._choose(self._round(last.base), last.held_out)
+        return (chosen, rounds) if one is None else self._exchanged([*chosen, one])
 
     def _as_good(self, one: Chosen, before: Chosen) -> bool:
         """Tell whether causes do about as well as others did, on withheld conditions: a fit may have lost its way."""
@@ -487,12 +495,12 @@ class Selector:
         return Round(base, screened, threshold, rated)
 
     def _least_gain(self, base: Base) -> float:
-        """Return what a cause beside others has to gain to earn its place, about; only asked where time is short."""
-        if not base.brisk or not base.added:
+        """Return what a cause beside others has to gain to earn its place, about."""
+        left = fitted_excess(base.problem, base.z, self.noise) if base.added else None
+        if left is None or left.total <= 0.0:
             return 0.0
-        left = fitted_excess(base.problem, base.z, self.noise)
-        least = least_to_remove(left, self.reference, len(base.added))
-        return min(least, 1.0) * base.squares * left.total / (1.0 + left.total) if left.total > 0.0 else 0.0
+        least = self._least_to_remove(base, left)
+        return min(least, 1.0) * base.squares * left.total / (1.0 + left.total)
 
     def _known(self) -> dict[Name, FloatArray]:
         """Return the sizes at which fits of candidates ended so far."""
