@@ -27,6 +27,8 @@ class Learnable:
     def sentence(self) -> str:
         """What it says."""
         most = 100 * max(self.pieces, self.conditions or 0.0)
+        if round(most) == 0:
+            return "Of what is left, nothing could be learned: all of it may be noise"
         return f"Of what is left, at least {most:.0f} % could be learned, at most {100 - most:.0f} % is noise"
 
 

@@ -298,7 +298,7 @@ def what_next(
         )
     if verdict in ("explained", "partly-explained", "parameter") and causes and not doubtful:
         found.append(
-            "labrun gap diagnose --save-model FILE writes the corrected model; run it against new data."
+            "labrun gap test MODEL --fresh RUN tells how far the corrected model (--save-model FILE) predicts new data."
         )
     if verdict == "not-in-library":
         found.append(

@@ -183,7 +183,7 @@ def fresh_text(found: FreshTest) -> str:
 
 def _row(one: Prediction) -> list[str]:
     ahead = "whole trial" if one.horizon_s is None else f"{one.horizon_s:g} s"
-    before = "" if one.before is None else estimate_words(one.before)
+    before = "" if one.before is None else estimate_words(one.before, like=one.error)
     return [spaced(one.output), ahead, estimate_words(one.error), before, _change(one.ratio)]
 
 
@@ -225,7 +225,7 @@ def units_text(found: UnitComparison) -> str:
         for place, one in enumerate(found.differences)
     ]
     if rows:
-        lines += aligned([["", "", "first", "second", "change [95 %]", ""], *rows])
+        lines += aligned([["", "", "first", "second", "change [95 %]", "of the first"], *rows])
     lines += [
         f"note: {_words(one)}: {listed(one.or_else, 'or')} would explain as much"
         for one in differing

@@ -176,12 +176,15 @@ def removes_words(share: float) -> str:
     return "makes it worse" if share <= -_WORSE else percent(max(min(share, 1.0), 0.0))
 
 
-def estimate_words(estimate: ResampledNumber, *, prefix: bool = True) -> str:
+def estimate_words(
+    estimate: ResampledNumber, *, prefix: bool = True, like: ResampledNumber | None = None
+) -> str:
     """Return ``0.0120 [0.0110, 0.0130] N m``, with the digits that the interval supports.
 
-    A small number is given in thousandths or millionths of its unit, unless without a `prefix`.
+    A small number is given in thousandths or millionths of its unit, unless without a `prefix`; in the same as another
+    number it is `like`.
     """
-    factor, unit = _prefixed(estimate) if prefix else (1.0, _after(estimate.unit))
+    factor, unit = _prefixed(like or estimate) if prefix else (1.0, _after(estimate.unit))
     value, low, high = (factor * end for end in (estimate.value, estimate.low, estimate.high))
     if not all(math.isfinite(end) for end in (value, low, high)):
         return f"{number(value)} [{number(low)}, {number(high)}]{unit}"
