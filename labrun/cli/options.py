@@ -101,7 +101,7 @@ Rate = Annotated[
 
 
 def seconds(text: str | None) -> float | None:
-    """Return a time such as 10s, 10 s or 10; None for None.
+    """Return a time such as 10s, 10 s, 10 or 2min; None for None.
 
     Raises
     ------
@@ -110,12 +110,15 @@ def seconds(text: str | None) -> float | None:
     """
     if text is None:
         return None
+    number, unit_s = (
+        (text.strip().removesuffix("min"), 60.0) if "min" in text else (text.strip().removesuffix("s"), 1.0)
+    )
     try:
-        return float(text.strip().removesuffix("s"))
+        return float(number) * unit_s
     except ValueError:
         from labrun.errors import RequestError
 
-        raise RequestError(f"--cut {text} is no time", hint="--cut 10s") from None
+        raise RequestError(f"--cut {text} is no time", hint="--cut 10s, or --cut 2min") from None
 
 
 Results = Annotated[Path, typer.Option(help="Folder of the runs.", file_okay=False)]
