@@ -58,7 +58,12 @@ def compare_units(
             questions[1].dataset,
             questions[0].model,
             np.random.default_rng(seed or 0),
-            names=(str(first), str(second)),
+            names=_names(Path(first), Path(second)),
             each=each,
             note=note,
         )
+
+
+def _names(first: Path, second: Path) -> tuple[str, str]:
+    """Return what two runs or recordings are called: the last part of their paths, if that tells them apart."""
+    return (first.name, second.name) if first.name != second.name else (str(first), str(second))

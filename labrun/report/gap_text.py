@@ -49,6 +49,8 @@ _MARGIN = 9
 _NARROWEST = 40
 _LEAST_FOR_SENTENCES = 1
 _RIVALS = 2
+_FAR_OPEN = 100.0
+"""Times its value from which the end of an interval says nothing but that the data say nothing."""
 _CUT = " \u2026"
 
 
@@ -219,8 +221,11 @@ def units_text(found: UnitComparison) -> str:
             _words(one),
             number(one.first, 4),
             number(one.second, 4) if one.verdict == "differs" else "",
-            estimate_words(one.change, prefix=False),
-            _relative(one),
+            *(
+                ("not told by these data", "")
+                if _untold(one)
+                else (estimate_words(one.change, prefix=False), _relative(one))
+            ),
         ]
         for place, one in enumerate(found.differences)
     ]
@@ -231,7 +236,18 @@ def units_text(found: UnitComparison) -> str:
         for one in differing
         if one.or_else
     ]
+    doubtful = [one for one in found.differences if one.verdict == "open" and not _untold(one)]
+    if any(not one.change.low <= 0.0 <= one.change.high for one in doubtful):
+        lines.append(
+            "note: an interval without zero is no difference yet: that has to stand beside everything that was tried, "
+            "and to hold on trials it did not see"
+        )
     return "\n".join([*lines, *(f"note: {one}" for one in found.notes)])
+
+
+def _untold(one: UnitDifference) -> bool:
+    """Tell whether the data leave a change open by far more than there is to change."""
+    return max(abs(one.change.low), abs(one.change.high)) > _FAR_OPEN * max(abs(one.first), abs(one.second))
 
 
 def _sentence(found: UnitComparison) -> str:

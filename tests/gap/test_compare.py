@@ -8,7 +8,7 @@ from swings import DAMPING, MODEL, STIFFNESS, dataset_of, swing
 
 from labrun.errors import RequestError
 from labrun.fit import workers
-from labrun.gap import compare_units
+from labrun.gap import Name, ResampledNumber, UnitComparison, UnitDifference, compare_units
 from labrun.models import load_model, parse_model
 from labrun.report.gap_text import units_text
 from labrun.store import SignalInfo
@@ -85,3 +85,11 @@ def test_units_recorded_unlike_are_refused(plain):
     other = replace(plain, outputs=(SignalInfo("angle", "deg"),))
     with pytest.raises(RequestError, match="other channels"):
         compare_units(plain, other, load_model("hinge-pendulum"), np.random.default_rng(0))
+
+
+def test_a_change_that_the_data_leave_wide_open_is_told_in_words():
+    change = ResampledNumber(-0.0, -23006.0, 23006.0, "rad")
+    level = UnitDifference(Name("saturation", "goal"), "level", 1.258, 1.258, change, "both lack")
+    told = units_text(UnitComparison("pan", "wrist", "servo", (6, 3), (level,), None, ()))
+    assert "not told by these data" in told
+    assert "23006" not in told
