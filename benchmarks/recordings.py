@@ -18,6 +18,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it
+
 import numpy as np
 
 from labrun.app.question import ask

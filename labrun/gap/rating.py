@@ -223,9 +223,8 @@ def rivals_of(
         near = [one for one in near if one is best or not any(_richer(one, other) for other in near)]
     shares = weights(near, _slack(best))
     if relative:
-        shares = np.maximum(
-            shares, float(shares[near.index(best)]) * np.array([as_good(best, one) for one in near])
-        )
+        most = int(np.argmax(shares))  # not always the best: that may have been taken for its being common
+        shares = np.maximum(shares, shares[most] * np.array([as_good(near[most], one) for one in near]))
         shares /= shares.sum()
     own = float(shares[near.index(best)])
     # of what is as probable, what is the same to the data comes first, then the common

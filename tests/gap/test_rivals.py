@@ -60,6 +60,20 @@ def test_a_gears_efficiency_and_friction_under_load_are_told_beside_each_other()
     assert names(level, [gear]) == ["gear-efficiency"]
 
 
+def test_the_common_form_that_withheld_conditions_put_beside_a_better_fit_weighs_as_much_there():
+    # six motions of a servo that sticks: play gains more, and leaves no less of any motion that was withheld
+    def seen(effect: str, score: float, left: float):
+        values = left * np.random.default_rng(int(left)).uniform(0.9, 1.1, (6, 1))
+        held_out = ExcessResidual(values, np.full(6, 1 / 6), ())
+        return SimpleNamespace(**{**vars(rated(effect, score)), "held_out": held_out})
+
+    friction, play = seen("coulomb-friction", 58.0, 62.0), seen("backlash", 68.0, 69.0)
+    ((rival, weight),), own = rivals_of(friction, [play, friction], relative=True)
+    assert rival is play
+    assert own == pytest.approx(0.5, abs=0.05)
+    assert own + weight == pytest.approx(1.0)
+
+
 def excess(total: float) -> ExcessResidual:
     return ExcessResidual(np.array([[total]]), np.ones(1), ())
 
