@@ -7,23 +7,7 @@ from labrun.logs.streams import Column, Stream, column, plain
 from labrun.logs.writing import write_recording
 
 __all__ = [
-    "LEAST_SAMPLES",
-    "LEAST_TRIAL_S",
-    "TICKS",
-    "Column",
-    "LogTable",
-    "Match",
-    "Piece",
-    "Stream",
-    "Unit",
-    "Wanted",
-    "column",
-    "cut",
-    "in_si",
-    "matched",
-    "plain",
-    "read_log",
-    "table_of",
-    "unusable",
+    "LEAST_SAMPLES", "LEAST_TRIAL_S", "TICKS", "Column", "LogTable", "Match", "Piece", "Stream", "Unit",
+    "Wanted", "column", "cut", "in_si", "matched", "plain", "read_log", "table_of", "unusable",
     "write_recording",
 ]  # fmt: skip

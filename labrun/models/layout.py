@@ -4,6 +4,7 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -221,11 +222,7 @@ def _integers(values: Sequence[object]) -> IntArray:
 
 
 def _offsets(lengths: Sequence[int]) -> list[int]:
-    offsets, at = [], 0
-    for length in lengths:
-        offsets.append(at)
-        at += length
-    return offsets
+    return list(accumulate(lengths, initial=0))[:-1]
 
 
 _NO_INTEGERS = _integers([])

@@ -4,7 +4,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -35,7 +34,7 @@ from labrun.store import Trace, TrialOutcome
 _REFRESHES_PER_S = 8
 
 
-class LiveProgress:
+class LiveProgress(SilentProgress):
     """Shows what is happening now, trials done, time left and the best so far; quiet where nobody watches.
 
     Implements `labrun.runner.Progress`. Use it as a context manager: the display appears on entering and
@@ -75,9 +74,7 @@ class LiveProgress:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._live.is_started:
             self._live.stop()
 

@@ -1,7 +1,6 @@
 """The bench as one thing: its devices, and the scene that stands in for it in a dry run."""
 
 from collections.abc import Callable, Mapping, Sequence
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -148,9 +147,7 @@ class Rig:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.safe_stop()
         self.close()
 

@@ -2,8 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 from labrun.devices import Clock
 from labrun.devices.clock import RealClock
@@ -24,61 +23,33 @@ from labrun.spec import Condition, Experiment, RepeatRule, condition_text
 from labrun.store import Role, RunFolder, TrialOutcome
 
 
-class Progress(Protocol):
-    """Told by the runner and the searches what goes on; draws it, or not."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
-    def total(self, trials: int | None) -> None:
-        """Set the greatest number of trials there can be; None if nobody can know."""
-        ...
-
-    def phase(self, text: str) -> None:
-        """Say what is happening now: "settle", "record"."""
-        ...
-
-    def trial(self, outcome: TrialOutcome, done: int, total: int | None, remaining_s: float | None) -> None:
-        """Report a trial that has just been stored."""
-        ...
-
-    def best(self, condition: Mapping[str, float | str], value: float, unit: str) -> None:
-        """Report the best condition so far."""
-        ...
-
-    def note(self, text: str) -> None:
-        """Report something worth a line."""
-        ...
-
-
-class SilentProgress:
-    """Says nothing."""
+class Progress:
+    """Told by the runner and the searches what goes on; a display draws what it cares for of it."""
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         pass
 
     def total(self, trials: int | None) -> None:
-        """Ignore it."""
+        """Set the greatest number of trials there can be; None if nobody can know."""
 
     def phase(self, text: str) -> None:
-        """Ignore it."""
+        """Say what is happening now: "settle", "record"."""
 
     def trial(self, outcome: TrialOutcome, done: int, total: int | None, remaining_s: float | None) -> None:
-        """Ignore it."""
+        """Report a trial that has just been stored."""
 
     def best(self, condition: Mapping[str, float | str], value: float, unit: str) -> None:
-        """Ignore it."""
+        """Report the best condition so far."""
 
     def note(self, text: str) -> None:
-        """Ignore it."""
+        """Report something worth a line."""
+
+
+class SilentProgress(Progress):
+    """Says nothing."""
 
 
 _COME_BACK_S = 10.0

@@ -14,19 +14,7 @@ from labrun_plugins.simulated.bench.history import ACCELERATION_M_S2, Carriage, 
 from labrun_plugins.simulated.bench.settings import BenchSettings, HiddenEffect
 
 __all__ = [
-    "ACCELERATION_M_S2",
-    "Bench",
-    "BenchSettings",
-    "Carriage",
-    "HiddenEffect",
-    "Passage",
-    "TowedBench",
-    "described",
-    "hidden_effects",
-    "joint_model",
-    "joint_stepper",
-    "model_beside",
-    "packed",
-    "require_finite",
+    "ACCELERATION_M_S2", "Bench", "BenchSettings", "Carriage", "HiddenEffect", "Passage", "TowedBench",
+    "described", "hidden_effects", "joint_model", "joint_stepper", "model_beside", "packed", "require_finite",
     "unpacked",
-]
+]  # fmt: skip
