@@ -106,6 +106,7 @@ def minimise(
     secant: bool = False,
     confirmed: bool = True,
     beside: Jacobian | None = None,
+    residual: list[FloatArray] | None = None,
 ) -> FloatArray:
     """Return the nearest minimum of the squared residuals and the prior.
 
@@ -141,8 +142,8 @@ def minimise(
     low, high = np.full(len(z), -np.inf), np.full(len(z), np.inf)
     low[:size] = problem.priors.lower if lower is None else lower
     high[:size] = problem.priors.upper if upper is None else upper
-    z = np.clip(z, low, high)
-    residual = problem.residuals(z)
+    start, z = z, np.clip(z, low, high)
+    residual = problem.residuals(z) if residual is None or np.any(z != start) else residual
     squares = problem.squares(z, residual)
     damping, growth, count = _FIRST_DAMPING, 2.0, 1
     scale = np.zeros(len(z))

@@ -227,7 +227,13 @@ def _trained(
 
 
 def _learned(part: Problem, start: FloatArray, seen: Jacobian, known: FloatArray) -> FloatArray:
-    """Return the fit to a part of the data; sizes that it knows next to nothing of stay as they were."""
+    """Return the fit to a part of the data; sizes that it knows next to nothing of stay as they were.
+
+    Parameters
+    ----------
+    seen
+        Derivatives and residuals of that part at `start`.
+    """
     stays = unseen(part, known, information(part, start, seen))
     shared = start[: part.size]
     return minimise(
@@ -241,6 +247,7 @@ def _learned(part: Problem, start: FloatArray, seen: Jacobian, known: FloatArray
         derivatives=seen,
         secant=True,
         confirmed=False,
+        residual=seen.residual,
     )
 
 

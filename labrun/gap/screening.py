@@ -197,17 +197,18 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     beside = base.nuisance.jacobian if surveyed.candidate.variables else None
     ends: list[tuple[float, Problem, FloatArray]] = []
     for start in starts:
-        problem = in_steps_for(surveyed.problem, start)[0]
+        problem, there = in_steps_for(surveyed.problem, start)
         z = minimise(
             problem,
             start,
             tolerance=criteria.ROUGH_TOLERANCE,
             evaluations=criteria.ROUGH_EVALUATIONS,
             central=False,
-            derivatives=None if beside is None else problem.jacobian(start, beside=beside),
+            derivatives=None if beside is None else problem.jacobian(start, there, beside=beside),
             secant=beside is not None,
             confirmed=beside is None,
             beside=beside,
+            residual=there,
         )
         ends.append((problem.squares(z), problem, z))
     squares, problem, z = min(ends, key=lambda one: one[0])
