@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.effects import AttachedEffect, unit_of
+from labrun.effects import AttachedEffect, EffectParameter, unit_of
 from labrun.fit import Dataset, Problem
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Name, ResampledNumber
@@ -165,7 +165,7 @@ def values_of(
 ) -> dict[str, ResampledNumber]:
     """Return the sizes of the effect that stands at `place` among those of the problem, with 95 % intervals.
 
-    What vanishes at zero is a size of the form as the library has it, which is not quite nature's.
+    Sizes and levels are those of the form as the library has it, which is not quite nature's.
     """
     attached = problem.attached(problem.parameters(z))[place]
     variable = problem.size - sum(
@@ -178,7 +178,7 @@ def values_of(
             continue
         scale = float(problem.priors.scale[variable])
         low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
-        form = criteria.NORMAL_95 * criteria.FORM_OF_SIZES * abs(value) if parameter.neutral == 0.0 else 0.0
+        form = criteria.NORMAL_95 * _form_error(parameter) * abs(value)
         low, high = -np.hypot(min(low, 0.0), form), np.hypot(max(high, 0.0), form)
         bounds = problem.priors.lower[variable] * scale, problem.priors.upper[variable] * scale
         found[parameter.name] = ResampledNumber(
@@ -189,6 +189,13 @@ def values_of(
         )
         variable += 1
     return found
+
+
+def _form_error(parameter: EffectParameter) -> float:
+    """Return the standard deviation that nature's form alone adds to a size or a level, as a part of it."""
+    if parameter.neutral is None:
+        return 0.0
+    return criteria.FORM_OF_LEVELS if np.isinf(parameter.neutral) else criteria.FORM_OF_SIZES
 
 
 def parameter_value(

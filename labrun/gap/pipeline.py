@@ -11,7 +11,14 @@ from labrun.gap import criteria
 from labrun.gap.averaging import averaged, without_crowding
 from labrun.gap.candidates import Candidate, candidates, site_scales, untried
 from labrun.gap.data_checks import CheckedTrials, require_informative, with_sound_clocks
-from labrun.gap.held_out import ExcessResidual, fitted_excess, held_out_excess, mean_residuals, not_withheld
+from labrun.gap.held_out import (
+    ExcessResidual,
+    fitted_excess,
+    floor_of,
+    held_out_excess,
+    mean_residuals,
+    not_withheld,
+)
 from labrun.gap.lines import growth_in_wells
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import Null, full_strictness, noise_threshold
@@ -260,7 +267,11 @@ def _searched(asked: _Asked, recalibration: Recalibrated, zeros: Collection[str]
         asked.note("running the whole search on noise alone, for the guard")
         linear = noise_threshold(base, asked.each(lambda one: survey(base, one), every), null)
         strictness = full_strictness(base, every, null, linear, asked.rng, asked.each)
-    selector = Selector(base, every, noise, null, held_out, strictness, asked.each, asked.note)
+    small = criteria.SMALL_GAP
+    if noise.known:
+        floor = floor_of(problem.data, noise, np.random.default_rng(null.seed))
+        small = criteria.BEYOND_FLOOR * floor
+    selector = Selector(base, every, noise, null, held_out, strictness, asked.each, asked.note, small)
     limitations = (
         *unit_remarks(problem, recalibration.raw),
         *asked.clocks.limitations,

@@ -1,16 +1,18 @@
 """Comparing candidates: how well each explains the data, on its own terms and on conditions it did not see."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.fit import Problem
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, family, rank
 from labrun.gap.held_out import ExcessResidual, held_out_excess
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import NoiseThreshold
+from labrun.gap.recalibration import settled_in_own_units
 from labrun.gap.screening import Base, Screened
 
 
@@ -58,7 +60,10 @@ def rate(
     reference
         Held-out excess of the recalibrated model without any effect.
     """
-    left = held_out_excess(screened.problem, screened.z, noise)
+    own = screened.problem
+    if not noise.known:
+        screened, own = _in_own_units(base, screened, noise)
+    left = held_out_excess(own, screened.z, noise)
     share = 1.0 - left.total / reference.total if reference.total > 0 else 0.0
     beyond = max(screened.squares - threshold.floor, 0.0)
     return Rated(
@@ -70,6 +75,20 @@ def rate(
         beyond / screened.gain if screened.gain > 0 else 1.0,
         _conditions(base, screened),
     )
+
+
+def _in_own_units(base: Base, screened: Screened, noise: Noise) -> tuple[Screened, Problem]:
+    """Return a candidate fitted in units of what it leaves, and the problem in these.
+
+    In those of what its base leaves, what is stated of parameters holds them as if no better model were known: a cause
+    that leaves little would look no better than one that imitates what they have to do.
+    """
+    problem, z = settled_in_own_units(noise, screened.problem, screened.z)
+    prior = problem.priors.residual(z)
+    stated = float(prior @ prior)
+    measured = screened.problem.squares(z) - stated
+    squares = measured * (1.0 + stated / max(problem.squares(z) - stated, 1e-300))
+    return replace(screened, z=z, squares=squares, gain=max(base.squares - squares, 0.0)), problem
 
 
 def _conditions(base: Base, screened: Screened) -> float:
@@ -146,8 +165,12 @@ def preferred(
     most = max(one.share for one in passing)
     # what fits the seen conditions well and fails on the unseen has learned the wrong thing
     # ... but where all fail there alone, as each of two causes may, how badly they do says little
+    # without repeats it is the conditions that say so: one where all fail by far would outweigh all others
     least = most - criteria.SHARE_BEHIND_BEST if most >= criteria.LEAST_SHARE else -np.inf
-    fair = [one for one in passing if one.share >= least]
+    first = max(passing, key=lambda one: one.share)
+    fair = [
+        one for one in passing if one.share >= least or (relative and as_good(first, one) >= criteria.AS_GOOD)
+    ]
     best = max(fair, key=lambda one: one.score)
     probable = weights(fair, _slack(best))
     alike = [
@@ -170,7 +193,11 @@ def _needed(one: Rated, left: ExcessResidual) -> float:
 
 
 def least_to_remove(
-    left: ExcessResidual, reference: ExcessResidual, beside: int = 1, learnable: float = 1.0
+    left: ExcessResidual,
+    reference: ExcessResidual,
+    beside: int = 1,
+    learnable: float = 1.0,
+    small: float = criteria.SMALL_GAP,
 ) -> float:
     """Return the part of what is left that a further cause has to remove to earn its place; above 1, none can.
 
@@ -180,6 +207,8 @@ def least_to_remove(
         How many causes there are already: what two leave is less often a third than what is wrong with their forms.
     learnable
         Part of what one cause leaves that any model could explain: the rest is a noise that no repeats tell.
+    small
+        Gap from which what one cause leaves is plainly more than noise.
     """
     if left.total <= 0.0 or reference.total <= 0.0:
         return float("inf")
@@ -187,16 +216,18 @@ def least_to_remove(
     ways = [criteria.ANOTHER_SHARE * whole]
     if beside == 1:
         ways.append(max(criteria.NOTICED_SHARE * whole, criteria.NOTICED_OF_LEFT))
-    if left.gap >= criteria.SMALL_GAP:
+    if left.gap >= (small if beside == 1 else criteria.SMALL_GAP):
         ways.append(criteria.SMALL_OF_LEFT)
     if beside == 1 and left.gap * np.sqrt(learnable) >= criteria.SMALL_GAP:
         ways.append(criteria.SMALL_OF_LEFT * learnable)
     return min(ways)
 
 
-def room_for_more(left: ExcessResidual, reference: ExcessResidual, beside: int = 1) -> bool:
+def room_for_more(
+    left: ExcessResidual, reference: ExcessResidual, beside: int = 1, small: float = criteria.SMALL_GAP
+) -> bool:
     """Tell whether a further cause could earn its place at all: by removing everything that is left."""
-    return least_to_remove(left, reference, beside) <= 1.0
+    return least_to_remove(left, reference, beside, small=small) <= 1.0
 
 
 def rivals_of(

@@ -8,7 +8,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.fit import Each, Note, Problem
 from labrun.gap import criteria
-from labrun.gap.candidates import Candidate, without
+from labrun.gap.candidates import Candidate, family, without
 from labrun.gap.diagnosis import Name
 from labrun.gap.forms import best_form, of_a_sign, sharpened
 from labrun.gap.held_out import ExcessResidual, fitted_excess, held_out_excess
@@ -133,6 +133,8 @@ class Selector:
         What candidates have to beat.
     strictness
         Factor on the threshold that noise sets.
+    small_gap
+        Gap from which what a cause leaves is plainly more than noise, in units of it.
     """
 
     base: Base
@@ -143,6 +145,7 @@ class Selector:
     strictness: float
     each: Each
     note: Note
+    small_gap: float = criteria.SMALL_GAP
     _rounds: dict[Forms, Round] = field(default_factory=dict, repr=False)
 
     def select(self) -> Selection:
@@ -167,12 +170,22 @@ class Selector:
         other = replace(self, candidates=rest, _rounds=rounds)._select()
         if not other.chosen or not self._better(other, found):
             return found
-        chosen = other.chosen
-        if len(chosen) == 1:  # what was left out may be its kin
-            chosen = (replace(chosen[0], rivals=self._alone(chosen[0]).rivals),)
+        alone = len(other.chosen) == 1
+        chosen = tuple(
+            self._beside_kin(one, other.chosen)
+            if alone or any(family(one.name, left_out) for left_out in doubtful)
+            else one
+            for one in other.chosen
+        )
+        # the table is of all candidates
+        return replace(other, chosen=chosen, rounds=[first, *other.rounds[1:]])
+
+    def _beside_kin(self, one: Chosen, chosen: Sequence[Chosen]) -> Chosen:
+        """Return a cause with the rivals that it has among all candidates: what was left out may be its kin."""
+        several = len(chosen) > 1
         return replace(
-            other, chosen=chosen, rounds=[first, *other.rounds[1:]]
-        )  # the table is of all candidates
+            one, rivals=(self._judged_beside_others(one, chosen) if several else self._alone(one)).rivals
+        )
 
     def _doubtful(self, found: Selection) -> set[Name]:
         """Return the effects without which the search is worth another look."""
@@ -273,7 +286,7 @@ class Selector:
     def _room(self, left: ExcessResidual, beside: int = 1) -> bool:
         if self.null.relative and self.reference.gap < criteria.ONE_CAUSE_GAP:
             return False
-        return room_for_more(left, self.reference, beside)
+        return room_for_more(left, self.reference, beside, self.small_gap)
 
     def _beyond(self, last: Chosen) -> list[Round]:
         """Try every candidate beside all causes: closely only where there is room for one more."""
@@ -425,7 +438,7 @@ class Selector:
             several = len(base.problem.data.conditions) > 1
             ways = [False, True] if several else [False]
             learnable = max(learnable_share(base.problem, base.z, conditions=one) for one in ways)
-        return least_to_remove(left, self.reference, beside, learnable)
+        return least_to_remove(left, self.reference, beside, learnable, self.small_gap)
 
     def _taken(self, best: Rated, current: Round) -> Chosen:
         """Return a candidate as a cause: with its rivals, and fitted in units of what it leaves."""
@@ -434,12 +447,6 @@ class Selector:
         fitted = replace(best.screened, problem=problem, z=z, squares=problem.squares(z))
         noise_share = min(current.threshold.floor / best.screened.squares, 1.0)
         sharp = sharpened(current.base, fitted, current.threshold, noise_share)
-        if self.null.relative or sharp is not fitted:
-            # in units of what it leaves, folds are fitted as closely as that; in those it was rated in, what is stated
-            # of parameters holds them
-            usual = held_out_excess(problem, z, self.noise)
-            if usual.total < best.held_out.total:
-                best = replace(best, held_out=usual)
         if sharp is not fitted:
             units = in_units_of(self.noise, sharp.problem, sharp.z)
             end = refit(units, sharp.z)

@@ -8,7 +8,7 @@ import pytest
 from labrun.effects import Scale, load_effect
 from labrun.gap.diagnosis import Name
 from labrun.gap.held_out import ExcessResidual
-from labrun.gap.rating import least_to_remove, more_common, rivals_of
+from labrun.gap.rating import least_to_remove, more_common, preferred, rivals_of
 
 SCALE = Scale(coordinate=1.0, rate=1.0, acceleration=1.0, force=1.0, signal=1.0, time_s=1.0)
 
@@ -95,3 +95,23 @@ def test_of_what_disturbances_leave_a_second_cause_has_to_remove_what_can_be_lea
     assert least_to_remove(left, whole, learnable=0.3) == pytest.approx(0.24)
     assert least_to_remove(left, whole, learnable=0.05) == pytest.approx(0.5)  # no more than a sensor's noise
     assert least_to_remove(left, whole, beside=2, learnable=0.3) == pytest.approx(0.8)
+
+
+def test_with_repeats_a_second_cause_may_be_whatever_is_plainly_left():
+    left, whole = excess(0.6**2), excess(200.0)
+    assert least_to_remove(left, whole, small=0.37) == pytest.approx(0.8)
+    assert least_to_remove(left, whole, beside=2, small=0.37) > 1.0  # a third one mends what forms leave
+
+
+def test_without_repeats_one_condition_where_all_fail_does_not_outvote_the_others():
+    # a spring that hardens, and a stop that stands in for it; the second condition has a resonance of its own
+    spring, stop = rated("cubic-stiffness", 240.0), rated("end-stop", 175.0)
+    for one, share, left in (
+        (spring, 0.72, [9, 13200, 12, 90, 4, 110, 5]),
+        (stop, 0.83, [32, 7300, 225, 160, 15, 83, 92]),
+    ):
+        one.share, one.conditions, one.candidate.variables = share, 6.9, 1
+        one.held_out = ExcessResidual(np.array(left, dtype=float)[:, None], np.full(7, 1 / 7), ())
+    before = ExcessResidual(np.full((7, 1), 5700.0), np.full(7, 1 / 7), ())
+    assert preferred([spring, stop], before, relative=True) is spring
+    assert preferred([spring, stop], before, relative=False) is stop
