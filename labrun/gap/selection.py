@@ -377,20 +377,22 @@ class Selector:
     def _without_nothing(self, chosen: Sequence[Chosen]) -> list[Chosen]:
         """Return the causes without the one whose size, all of them fitted together, is least told from zero.
 
-        Nothing where all are told from it.
+        Nothing where all are told from it, or where the others leave plainly more without: of friction that is greater
+        at rest, neither what holds nor what slides is told from zero, but both together are.
         """
         final = chosen[-1].base
         nothing = may_be_nothing(final, scatter(final, self.null.draws(final)))
-        if not nothing:
-            return []
-        least = min(nothing, key=lambda one: nothing[one])
-        kept = [one for one in chosen if one.name != least]
-        found = self._beside(chosen, kept)
-        if found is None:  # nothing simulates without it: that size is no nothing
-            return []
-        self.note(f"the size of {least} may be zero beside the others: it is left out")
-        beside, left = found
-        return [*kept[:-1], replace(kept[-1], base=beside.base, held_out=left)]
+        for least in sorted(nothing, key=lambda one: nothing[one]):
+            kept = [one for one in chosen if one.name != least]
+            found = self._beside(chosen, kept)
+            if found is None:  # nothing simulates without it: that size is no nothing
+                continue
+            beside, left = found
+            if self._needed(left, chosen[-1].held_out):
+                continue
+            self.note(f"the size of {least} may be zero beside the others: it is left out")
+            return [*kept[:-1], replace(kept[-1], base=beside.base, held_out=left)]
+        return []
 
     def _judged_beside_others(self, one: Chosen, chosen: Sequence[Chosen]) -> Chosen:
         """Return a cause as it is judged beside all others that were found, not only those it was found beside."""
