@@ -303,8 +303,16 @@ def _best_again(best: Rated, one: Rated) -> bool:
 
 
 def _richer(one: Rated, other: Rated) -> bool:
-    """Tell whether a candidate contains another one at its site that predicts as well."""
-    return _contains(one, other) and other.share >= one.share - criteria.SIMPLER_SHARE
+    """Tell whether a candidate contains another one at its site that predicts as well.
+
+    Conditions say so, where there are enough of them: where both explain nearly all, shares are the same, though one
+    may leave twice what the other does in each of them.
+    """
+    if not _contains(one, other):
+        return False
+    if len(one.held_out.weights) < criteria.FEWEST_AGREEING:
+        return other.share >= one.share - criteria.SIMPLER_SHARE
+    return as_good(one, other) >= criteria.AS_GOOD
 
 
 def more_common(best: Rated, rated: Sequence[Rated], *, relative: bool) -> Rated:
