@@ -84,11 +84,15 @@ def _in_own_units(base: Base, screened: Screened, noise: Noise) -> tuple[Screene
     that leaves little would look no better than one that imitates what they have to do.
     """
     problem, z = settled_in_own_units(noise, screened.problem, screened.z)
-    prior = problem.priors.residual(z)
-    stated = float(prior @ prior)
-    measured = screened.problem.squares(z) - stated
-    squares = measured * (1.0 + stated / max(problem.squares(z) - stated, 1e-300))
+    # what is stated of parameters and of what differs by trial costs as much beside the data as it does there
+    squares = problem.squares(z) * _of_data(screened.problem, z) / max(_of_data(problem, z), 1e-300)
     return replace(screened, z=z, squares=squares, gain=max(base.squares - squares, 0.0)), problem
+
+
+def _of_data(problem: Problem, z: FloatArray) -> float:
+    """Return the sum of squared residuals of the samples alone."""
+    trials = zip(problem.data.trials, problem.residuals(z), strict=True)
+    return sum(float(np.sum(np.square(one[: trial.outputs.size]))) for trial, one in trials)
 
 
 def _conditions(base: Base, screened: Screened) -> float:
