@@ -2,7 +2,8 @@
 
 from labrun.control.closed_loop import ClosedLoopRecorder
 from labrun.control.compiled.recorder import CompiledLoopRecorder, loop_recorder
-from labrun.control.pid import FeedforwardPid, PidController, TransferTable, response_table
+from labrun.control.pid import FeedforwardPid, PidController
+from labrun.control.plant import TransferTable, response_table
 from labrun.control.protocol import LoopContext, Step
 from labrun.control.references import HalfSineReference, HalfSineSettings
 

@@ -13,7 +13,8 @@ from labrun.devices.clock import SimulatedClock
 from labrun.errors import LabrunError, PlanError, SpecError, StoreError
 from labrun.runner.motion import Envelope, MotionMaker, TrialMotion, loop_notes, smooth_move
 from labrun.runner.rig import Rig
-from labrun.runner.settle import settle_estimate_s, tared_devices, watched_channels
+from labrun.runner.settle import settle_estimate_s, watched_channels
+from labrun.runner.tare import tared_devices
 from labrun.spec import LOOP_DEVICE, CarriageMove, Condition, Experiment, Settle, condition_text
 from labrun.store import check_columns, check_names
 

@@ -14,8 +14,9 @@ from labrun.runner.measurement import ObjectiveError, ObjectiveEvaluation
 from labrun.runner.motion import MotionMaker, TrialMotion
 from labrun.runner.recording import Recorder, SampleCollector, TrialRecording, TrialRequest
 from labrun.runner.safety import blaming
-from labrun.runner.settle import Settled, measure_baseline, settle, tare
+from labrun.runner.settle import Settled, measure_baseline, settle
 from labrun.runner.stillness import Bounds
+from labrun.runner.tare import tare
 from labrun.spec import Experiment, Settle, condition_text
 from labrun.store import RunFolder, TrialOutcome, TrialWriter, json_ready
 

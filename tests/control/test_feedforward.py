@@ -5,7 +5,8 @@ import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.control.pid import FeedforwardPid, PlantModel, read_plant
+from labrun.control.pid import FeedforwardPid
+from labrun.control.plant import PlantModel, read_plant
 from labrun.control.protocol import LoopContext, Step
 from labrun.errors import SpecError
 from labrun.fit.transfer import TransferFunction

@@ -10,7 +10,7 @@ import pytest
 import labrun
 from labrun.app.design import design
 from labrun.app.report import read_findings, write_report
-from labrun.design.simulator import Margin
+from labrun.design.constraints import Margin
 from labrun.errors import PlanError, RequestError, SpecError
 from labrun.models import load_model
 from labrun.report import print_findings
