@@ -48,12 +48,19 @@ def _forms(added: Sequence[Candidate]) -> Forms:
 
 @dataclass(frozen=True)
 class Round:
-    """All candidates beside one base."""
+    """All candidates beside one base.
+
+    Attributes
+    ----------
+    learnable
+        Part of what the base leaves that any model could explain; asked for beside one cause without repeats, else 1.
+    """
 
     base: Base
     screened: list[Screened]
     threshold: NoiseThreshold
     rated: list[Rated]
+    learnable: float = 1.0
 
     def without(self, names: set[Name]) -> "Round":
         """Return the round with fewer candidates."""
@@ -424,23 +431,22 @@ class Selector:
         return found, held_out_excess(found.base.problem, found.base.z, self.noise)
 
     def _choose(self, current: Round, left: ExcessResidual) -> Chosen | None:
-        least = self._least_to_remove(current.base, left)
+        least = self._least_to_remove(current.base, left, current.learnable)
         best = preferred(current.rated, left, least=least, relative=self.null.relative)
         if best is None:
             return None
         return self._taken(more_common(best, current.rated, relative=self.null.relative), current)
 
-    def _least_to_remove(self, base: Base, left: ExcessResidual) -> float:
+    def _least_to_remove(self, base: Base, left: ExcessResidual, learnable: float) -> float:
         """Return the part of what a base leaves that a further cause has to remove; 0 for the first."""
         beside = len(base.added)
-        if beside == 0:
-            return 0.0
-        learnable = 1.0
-        if beside == 1 and self.null.relative and left.gap >= criteria.SMALL_GAP:
-            several = len(base.problem.data.conditions) > 1
-            ways = [False, True] if several else [False]
-            learnable = max(learnable_share(base.problem, base.z, conditions=one) for one in ways)
-        return least_to_remove(left, self.reference, beside, learnable, self.small_gap)
+        return least_to_remove(left, self.reference, beside, learnable, self.small_gap) if beside else 0.0
+
+    def _learnable(self, base: Base) -> float:
+        if len(base.added) != 1 or not self.null.relative:
+            return 1.0
+        ways = [False, True] if len(base.problem.data.conditions) > 1 else [False]
+        return max(learnable_share(base.problem, base.z, conditions=one) for one in ways)
 
     def _taken(self, best: Rated, current: Round) -> Chosen:
         """Return a candidate as a cause: with its rivals, and fitted in units of what it leaves."""
@@ -490,10 +496,11 @@ class Selector:
         """
         surveys = self.each(lambda one: survey(base, one), candidates)
         threshold = noise_threshold(base, surveys, self.null).times(self.strictness)
-        least = self._least_gain(base)
+        learnable = self._learnable(base)
+        least = self._least_gain(base, learnable)
         screened = screen_all(base, surveys, max(threshold.gain, least), self.each, known=self._known())
         if not closely:
-            return Round(base, screened, threshold, [])
+            return Round(base, screened, threshold, [], learnable)
         screened = begun_where_kin_ended(base, screened, threshold.gain, self.each)
         most = max((one.gain for one in screened), default=0.0)
         screened = self.each(lambda one: best_form(base, one, most, threshold), screened)
@@ -501,14 +508,14 @@ class Selector:
             lambda one: rate(base, one, threshold, self.noise, self.reference),
             promising(screened, threshold, criteria.RATED, least),
         )
-        return Round(base, screened, threshold, rated)
+        return Round(base, screened, threshold, rated, learnable)
 
-    def _least_gain(self, base: Base) -> float:
+    def _least_gain(self, base: Base, learnable: float) -> float:
         """Return what a cause beside others has to gain to earn its place, about."""
         left = fitted_excess(base.problem, base.z, self.noise) if base.added else None
         if left is None or left.total <= 0.0:
             return 0.0
-        least = self._least_to_remove(base, left)
+        least = self._least_to_remove(base, left, learnable)
         return min(least, 1.0) * base.squares * left.total / (1.0 + left.total)
 
     def _known(self) -> dict[Name, FloatArray]:
