@@ -148,8 +148,13 @@ class Problem:
 
     @property
     def substeps(self) -> int:
-        """Steps of the integrator per sample."""
-        return self.drives[0].substeps
+        """Steps of the integrator per sample, in the trial that takes most of them."""
+        return max(drive.substeps for drive in self.drives)
+
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """Steps of the integrator per sample, trial by trial."""
+        return tuple(drive.substeps for drive in self.drives)
 
     @cached_property
     def states(self) -> InitialStates:
@@ -208,8 +213,20 @@ class Problem:
         return replace(self, effects=(*self.effects, *effects), priors=priors)
 
     def with_substeps(self, substeps: int) -> Self:
-        """Return the problem with so many of the integrator's steps per sample."""
-        return replace(self, drives=prepared(self.model, self.data, substeps))
+        """Return the problem with so many of the integrator's steps per sample, in every trial alike."""
+        return self.with_steps([substeps] * len(self.drives))
+
+    def with_steps(self, steps: Sequence[int]) -> Self:
+        """Return the problem with so many of the integrator's steps per sample, trial by trial."""
+        drives = tuple(
+            drive if drive.substeps == count else prepare(self.model, trial.time_s, trial.inputs, count)
+            for drive, trial, count in zip(self.drives, self.data.trials, steps, strict=True)
+        )
+        return replace(self, drives=drives)
+
+    def in_steps_of(self, other: "Problem") -> Self:
+        """Return the problem in the steps of another one of the same trials."""
+        return replace(self, drives=other.drives)
 
     def with_measured(self, outputs: Sequence[FloatArray]) -> Self:
         """Return the problem with other measured outputs: the same experiment, had it come out differently."""
@@ -261,6 +278,10 @@ class Problem:
             for index in widest[:_PROBED_TRIALS]
         )
         return self if needed == self.substeps else self.with_substeps(needed)
+
+    def finer_steps(self, factor: int, most: int) -> tuple[int, ...]:
+        """Return the steps of every trial so many times shortened, of those that have fewer than `most` per sample."""
+        return tuple(factor * count if count < most else count for count in self.steps)
 
     # --- simulation and residuals -----------------------------------------------------------------------------------
 

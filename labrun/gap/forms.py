@@ -12,7 +12,7 @@ from labrun.fit import Problem, minimise
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.noise_threshold import NoiseThreshold
-from labrun.gap.screening import Base, Screened, around
+from labrun.gap.screening import Base, Screened, around, in_shorter_steps
 
 
 def best_form(base: Base, screened: Screened, best: float, threshold: NoiseThreshold) -> Screened:
@@ -51,7 +51,7 @@ def widened(base: Base, screened: Screened) -> Screened:
             screened.candidate,
             attached=replace(attached, effect=replace(attached.effect, parameters=parameters)),
         )
-        problem = candidate.added_to(base.problem).with_substeps(screened.problem.substeps)
+        problem = candidate.added_to(base.problem).in_steps_of(screened.problem)
         screened = replace(_ended(base, screened, problem, screened.z), candidate=candidate)
     return screened
 
@@ -69,12 +69,13 @@ def _further(one: EffectParameter, size: float) -> EffectParameter:
 def resolved(base: Base, screened: Screened) -> Screened:
     """Return a candidate fitted with steps of the integrator as short as its force asks for.
 
-    The base's steps do for the base: friction that holds a joint still, or a stiff stop, wants shorter ones, and is
-    fitted again with them.
+    The base's steps do for the base: friction that holds a joint still, or a stiff stop, wants shorter ones in the
+    trials where it acts, and is fitted again with them.
     """
-    while screened.candidate.attached is not None and screened.problem.substeps < criteria.FINEST:
-        finer = screened.problem.with_substeps(criteria.FINER * screened.problem.substeps)
-        if abs(finer.squares(screened.z) - screened.squares) < criteria.STEPS_DO * screened.squares:
+    while screened.candidate.attached is not None:
+        problem = screened.problem
+        finer = in_shorter_steps(problem, screened.z, criteria.STEPS_DO * screened.squares)
+        if finer is problem:
             break
         screened = _ended(base, screened, finer, screened.z)
     return screened
@@ -159,7 +160,7 @@ def _shape_fitted(base: Base, screened: Screened, floor: float, usual: Candidate
     for candidate, choices in _with_shape(screened.candidate if usual is None else usual):
         if _fitted(candidate) == known:
             continue
-        problem = candidate.added_to(base.problem).with_substeps(screened.problem.substeps)
+        problem = candidate.added_to(base.problem).in_steps_of(screened.problem)
         ends = [
             minimise(
                 problem,
@@ -183,7 +184,7 @@ def without_needless_levels(base: Base, screened: Screened, threshold: NoiseThre
     """Return an effect of several levels without those that the data do not ask for: an end stop on one side only."""
     for name in _levels(screened.candidate):
         candidate = _out_of_reach(screened.candidate, name)
-        problem = candidate.added_to(base.problem).with_substeps(screened.problem.substeps)
+        problem = candidate.added_to(base.problem).in_steps_of(screened.problem)
         fitted = [one.name for one in _fitted(screened.candidate)]
         sizes = np.delete(screened.sizes, fitted.index(name))
         start = np.concatenate(

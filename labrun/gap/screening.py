@@ -1,7 +1,7 @@
 """Fits of one problem with one candidate more: several starts, the most promising of them followed to their ends."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -221,11 +221,68 @@ def in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatAr
     What is quick beside the integrator's steps, such as a short delay in a loop or a stiff force, wants shorter ones.
     """
     there = problem.finite_residuals(z)
-    if there is None and problem.substeps < criteria.FINEST:
-        finer = problem.with_substeps(criteria.FINER * problem.substeps)
+    if there is None and min(problem.steps) < criteria.FINEST:
+        finer = problem.with_steps(problem.finer_steps(criteria.FINER, criteria.FINEST))
         there = finer.finite_residuals(z)
         problem = problem if there is None else finer
     return problem, there
+
+
+def in_shorter_steps(problem: Problem, z: FloatArray, moved: float) -> Problem:
+    """Return the problem in shorter steps in the trials that ask for them at `z`; itself if none do.
+
+    Parameters
+    ----------
+    moved
+        What shorter steps may change the sum of squares by.
+    """
+    finer = problem.with_steps(problem.finer_steps(criteria.FINER, criteria.FINEST))
+    if finer.steps == problem.steps:
+        return problem
+    change = _squares_by_trial(finer, z) - _squares_by_trial(problem, z)
+    if abs(np.sum(change)) < moved:
+        return problem
+    return in_steps_where(problem, finer, change, 0.5 * moved)
+
+
+def in_longer_steps(problem: Problem, z: FloatArray, fewest: Sequence[int]) -> Problem:
+    """Return the problem in longer steps in the trials that do not ask for those they have at `z`; itself if all do.
+
+    Parameters
+    ----------
+    fewest : per trial
+        Steps per sample that it takes at least.
+    """
+    steps = [max(count // criteria.FINER, least) for count, least in zip(problem.steps, fewest, strict=True)]
+    coarser = problem.with_steps(steps)
+    if coarser.steps == problem.steps:
+        return problem
+    before = _squares_by_trial(problem, z)
+    change, moved = _squares_by_trial(coarser, z) - before, criteria.STEPS_DO * float(np.sum(before))
+    if abs(np.sum(change)) <= moved:
+        return coarser
+    found = in_steps_where(coarser, problem, change, 0.5 * moved)
+    return problem if found.steps == problem.steps else found
+
+
+def in_steps_where(problem: Problem, other: Problem, change: FloatArray, moved: float) -> Problem:
+    """Return the problem in the steps of another one, but for trials that together change by no more than `moved`.
+
+    Parameters
+    ----------
+    change : (trials,)
+        What the steps of the other change the sum of squares of each trial by.
+    """
+    size = np.abs(change)
+    order = np.argsort(size)
+    stays = np.empty(len(size), dtype=bool)
+    stays[order] = np.cumsum(size[order]) <= moved
+    drives = zip(problem.drives, other.drives, stays, strict=True)
+    return replace(problem, drives=tuple(mine if stay else theirs for mine, theirs, stay in drives))
+
+
+def _squares_by_trial(problem: Problem, z: FloatArray) -> FloatArray:
+    return np.array([float(one @ one) for one in problem.residuals(z)])
 
 
 def around(base: Base, candidate: Candidate) -> Jacobian | None:

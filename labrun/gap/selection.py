@@ -32,6 +32,7 @@ from labrun.gap.screening import (
     Screened,
     begun_where_kin_ended,
     ends_of,
+    in_longer_steps,
     in_steps_for,
     refit,
     screen_all,
@@ -546,7 +547,7 @@ class Selector:
                 parts.append(variables)
         # what was found with short steps may need them
         start = np.concatenate([*parts, last.problem.own_states(last.z)])
-        problem, there = in_steps_for(problem.with_substeps(last.problem.substeps), start)
+        problem, there = in_steps_for(problem.in_steps_of(last.problem), start)
         if there is None:  # no slope shows a fit the way from there
             return None
         z = refit(problem, start)
@@ -555,12 +556,6 @@ class Selector:
 
     def _based(self, problem: Problem, z: FloatArray, added: tuple[Candidate, ...]) -> Base:
         """Return a base in steps of the integrator no shorter than its causes ask for: all that follows takes them."""
-        squares = problem.squares(z)
-        while problem.substeps > self.base.problem.substeps:
-            coarser = problem.with_substeps(
-                max(problem.substeps // criteria.FINER, self.base.problem.substeps)
-            )
-            if abs(coarser.squares(z) - squares) > criteria.STEPS_DO * squares:
-                break
-            problem = coarser
+        while (longer := in_longer_steps(problem, z, self.base.problem.steps)) is not problem:
+            problem = longer
         return Base.of(problem, z, added, brisk=self.base.brisk)
