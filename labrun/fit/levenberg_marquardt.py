@@ -1,5 +1,6 @@
 """The search for the best parameters: several starts, each a descent in the block structure of trials."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -106,6 +107,7 @@ def minimise(
     secant: bool = False,
     confirmed: bool = True,
     beside: Jacobian | None = None,
+    renewals: float = math.inf,
     residual: list[FloatArray] | None = None,
 ) -> FloatArray:
     """Return the nearest minimum of the squared residuals and the prior.
@@ -135,13 +137,14 @@ def minimise(
     beside
         Derivatives by the first shared variables and the trials' own, which change little on the way: where
         derivatives have to be taken anew, only those by the variables behind them are, unless a step fails with these.
+    renewals
+        How often derivatives are taken at most: a descent that would need them once more ends.
     """
     size = problem.size
     if len(z) == 0:
         return z
-    low, high = np.full(len(z), -np.inf), np.full(len(z), np.inf)
-    low[:size] = problem.priors.lower if lower is None else lower
-    high[:size] = problem.priors.upper if upper is None else upper
+    low = _bounds(z, problem.priors.lower if lower is None else lower, -np.inf)
+    high = _bounds(z, problem.priors.upper if upper is None else upper, np.inf)
     start, z = z, np.clip(z, low, high)
     residual = problem.residuals(z) if residual is None or np.any(z != start) else residual
     squares = problem.squares(z, residual)
@@ -149,8 +152,9 @@ def minimise(
     scale = np.zeros(len(z))
     moving = high[:size] > low[:size]
     jacobian, fresh, partly = derivatives, False, False
-    while count < evaluations and not stop(z):
+    while count < evaluations and (jacobian is not None or renewals > 0) and not stop(z):
         if jacobian is None:
+            renewals -= 1
             partly = beside is not None and not partly
             jacobian = problem.jacobian(
                 z, residual, central=central, moving=moving, beside=beside if partly else None
@@ -190,6 +194,11 @@ def minimise(
                 break
             jacobian = None
     return z
+
+
+def _bounds(z: FloatArray, shared: FloatArray, own: float) -> FloatArray:
+    """Return bounds of all variables from those of the shared ones; `own`: that of the trials' own."""
+    return np.concatenate([shared, np.full(len(z) - len(shared), own)])
 
 
 def _carried_on(jacobian: Jacobian, step: FloatArray, residual: list[FloatArray], size: int) -> Jacobian:

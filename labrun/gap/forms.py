@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.effects import EffectParameter
-from labrun.fit import Problem, minimise
+from labrun.fit import Jacobian, Problem, minimise
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.noise_threshold import NoiseThreshold
@@ -77,11 +77,19 @@ def resolved(base: Base, screened: Screened) -> Screened:
         finer = in_shorter_steps(problem, screened.z, criteria.STEPS_DO * screened.squares)
         if finer is problem:
             break
-        screened = _ended(base, screened, finer, screened.z)
+        # derivatives in the longer steps cost less, and show the way
+        near = problem.jacobian(screened.z, central=False, beside=around(base, screened.candidate))
+        screened = _ended(base, screened, finer, screened.z, near)
     return screened
 
 
-def _ended(base: Base, screened: Screened, problem: Problem, start: FloatArray) -> Screened:
+def _ended(
+    base: Base,
+    screened: Screened,
+    problem: Problem,
+    start: FloatArray,
+    derivatives: Jacobian | None = None,
+) -> Screened:
     beside = around(base, screened.candidate)
     z = minimise(
         problem,
@@ -89,8 +97,10 @@ def _ended(base: Base, screened: Screened, problem: Problem, start: FloatArray) 
         tolerance=criteria.FIT_TOLERANCE,
         evaluations=criteria.FIT_EVALUATIONS,
         central=False,
+        derivatives=derivatives,
         secant=True,
         beside=beside,
+        renewals=criteria.FIT_RENEWALS,
     )
     squares = problem.squares(z)
     return replace(screened, problem=problem, z=z, squares=squares, gain=max(base.squares - squares, 0.0))

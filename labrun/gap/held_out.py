@@ -247,6 +247,7 @@ def _learned(part: Problem, start: FloatArray, seen: Jacobian, known: FloatArray
         derivatives=seen,
         secant=True,
         confirmed=False,
+        renewals=criteria.FOLD_RENEWALS,
         residual=seen.residual,
     )
 

@@ -304,6 +304,7 @@ def follow(base: Base, begun: Screened) -> Screened:
         central=False,
         secant=True,
         beside=beside,
+        renewals=criteria.FIT_RENEWALS,
     )
     return _screened(base, begun.survey, problem, z, problem.squares(z))
 
@@ -397,7 +398,9 @@ def ends_of(screened: Iterable[Screened]) -> dict[Name, FloatArray]:
 
 def refit(problem: Problem, z: FloatArray, *, tolerance: float = 1e-6) -> FloatArray:
     """Return the minimum that `z` leads to, followed closely."""
-    return minimise(problem, z, tolerance=tolerance, evaluations=80, secant=True)
+    return minimise(
+        problem, z, tolerance=tolerance, evaluations=80, secant=True, renewals=criteria.REFIT_RENEWALS
+    )
 
 
 def _screened(base: Base, surveyed: Survey, problem: Problem, z: FloatArray, squares: float) -> Screened:

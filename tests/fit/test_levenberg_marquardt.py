@@ -160,3 +160,12 @@ def test_variables_that_do_not_move_are_not_differentiated() -> None:
     for shared, whole_block in zip(blocks.shared, every.shared, strict=True):
         assert not shared[:, 0].any()
         np.testing.assert_array_equal(shared[:, 1], whole_block[:, 1])
+
+
+def test_a_descent_ends_where_it_would_take_derivatives_more_often_than_it_may() -> None:
+    problem, z = begun(oscillator())
+    right = problem.jacobian(z)
+    backwards = replace(right, shared=[-one for one in right.shared], own=[-one for one in right.own])
+    np.testing.assert_array_equal(minimise(problem, z, derivatives=backwards, renewals=0), z)
+    once = minimise(problem, z, derivatives=backwards, secant=True, renewals=1)
+    assert problem.squares(once) < 0.5 * problem.squares(z)
