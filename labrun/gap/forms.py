@@ -26,7 +26,9 @@ def best_form(base: Base, screened: Screened, best: float, threshold: NoiseThres
     if screened.gain < criteria.SHAPED_BESIDE_BEST * max(best, threshold.gain):
         return screened
     screened = widened(base, screened)
-    found = resolved(base, shaped(base, resolved(base, screened), threshold))
+    usual = resolved(base, screened)
+    found = shaped(base, usual, threshold)
+    found = usual if found is usual else resolved(base, found)
     found = without_needless_levels(base, found, threshold)
     return found if found.candidate is screened.candidate else replace(found, usual=screened)
 
@@ -178,8 +180,8 @@ def _shape_fitted(base: Base, screened: Screened, floor: float, usual: Candidate
                 tolerance=criteria.ROUGH_TOLERANCE,
                 evaluations=criteria.ROUGH_EVALUATIONS,
                 central=False,
-                secant=beside is not None,
-                confirmed=beside is None,
+                secant=True,
+                confirmed=False,
                 beside=beside,
             )
             for start in _starts(candidate, choices, sizes)

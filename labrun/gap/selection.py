@@ -419,7 +419,8 @@ class Selector:
     ) -> tuple[Round, ExcessResidual] | None:
         """Return all candidates beside some of the causes, and what these leave on withheld conditions.
 
-        None where these causes do not simulate without the others.
+        No candidates where these leave too little for a further cause. None where they do not simulate without the
+        others.
         """
         names = frozenset(one.name for one in kept)
         forms = _forms([one for one in chosen[-1].base.added if one.name in names])
@@ -428,7 +429,10 @@ class Selector:
             base = self._refitted(chosen[-1].base, names)
             if base is None:
                 return None
-            found = self._round(base)
+            left = held_out_excess(base.problem, base.z, self.noise)
+            if names and not self._room(left, len(names)):
+                return Round(base, [], NoiseThreshold(0.0, 1.0), []), left
+            return self._round(base), left
         return found, held_out_excess(found.base.problem, found.base.z, self.noise)
 
     def _choose(self, current: Round, left: ExcessResidual) -> Chosen | None:
