@@ -177,7 +177,9 @@ def conclude(
         if decided in ("not-in-library", "partly-explained"):
             missing = missing_forces(difference)
     rated = selection.rounds[0].rated
-    nearest = max(rated, key=lambda one: one.share).candidate.name if rated else None
+    nearest = [max(rated, key=lambda one: one.share).candidate.name] if rated else []
+    if shrunk is not None:
+        nearest = [one.name for one in selection.chosen]
     channels = tuple((one.name, one.unit) for one in dataset.outputs)
     input_channels = tuple((one.name, one.unit) for one in dataset.inputs)
     differs = tuple(
@@ -272,7 +274,8 @@ def _basis(search: Search, chosen: Sequence[Chosen], floor: float, rng: np.rando
     else:  # nothing to compare on withheld conditions, where extrapolated parameters alone would leave a gap
         sizes = Sizes(search.raw.gap, search.recalibrated.gap, search.recalibrated.gap, floor)
         shrunk = None
-    remains = fitted_excess(end.problem, end.z, noise).gap > floor
+    left, whole = fitted_excess(end.problem, end.z, noise), search.recalibrated.total
+    remains = left.gap > floor
     kinds = [one.name.kind for one in chosen]
     basis = VerdictBasis(
         sizes,
@@ -283,6 +286,7 @@ def _basis(search: Search, chosen: Sequence[Chosen], floor: float, rng: np.rando
         shrunk,
         beyond_scatter(end.problem, end.z, noise) if remains else BeyondScatter(),
         len(search.dataset.trials),
+        1.0 - left.total / whole if whole > 0.0 else 1.0,
     )
     if shrunk is None:
         return basis

@@ -24,6 +24,8 @@ class VerdictBasis:
         What is left, less what a scatter of parameters from trial to trial makes.
     trials
         How many there are.
+    share_of_seen
+        Share of the excess that the causes remove where nothing is withheld.
     """
 
     sizes: Sizes
@@ -34,6 +36,7 @@ class VerdictBasis:
     shrinkage: Shrinkage | None = None
     beyond_scatter: BeyondScatter = field(default_factory=BeyondScatter)
     trials: int = 1
+    share_of_seen: float = 1.0
 
     @property
     def left_is_gap(self) -> bool:
@@ -77,6 +80,17 @@ class VerdictBasis:
         high = 0.0 if self.shrinkage is None else self.shrinkage.high
         return high if self.noise_known else max(high, self.known_share + criteria.FORM_ERROR)
 
+    @property
+    def impostors(self) -> bool:
+        """Whether causes remove too little of a plain gap to be what makes it; without repeats, if that is sure.
+
+        With repeats it is asked of what they have seen, too: where conditions are withheld, recalibrated parameters
+        extrapolate and leave more, and removing that is no merit.
+        """
+        if not self.noise_known:
+            return self.most_removed < criteria.WHOLE_SHARE
+        return min(self.known_share, self.share_of_seen) < criteria.WHOLE_SHARE
+
 
 def may_help_nothing(found: VerdictBasis) -> bool:
     """Tell whether the share that causes remove of withheld conditions cannot be told from none."""
@@ -98,7 +112,8 @@ def stands_all_the_same(found: VerdictBasis, without: VerdictBasis) -> bool:
 def verdict(found: VerdictBasis) -> Verdict:
     """Return the verdict.
 
-    Causes that leave a plain gap are impostors if no resample of the conditions has them explain nearly all of it.
+    Causes that leave a plain gap are impostors if they do not explain nearly all of what the model left without them;
+    without repeats, where what they leave may be noise, if no resample of the conditions has them do so.
     """
     if found.effects + found.parameters == 0:
         if found.left_is_gap:
@@ -107,7 +122,7 @@ def verdict(found: VerdictBasis) -> Verdict:
         if _recalibration_helps(found.sizes) and not plainly_left:
             return "parameter"
         return "no-gap" if found.noise_known or not found.remains else "undecided"
-    if found.left_is_gap and found.most_removed < criteria.WHOLE_SHARE:
+    if found.left_is_gap and found.impostors:
         return "not-in-library"
     if found.effects == 0:
         # a parameter's form is the model's own: what it plainly leaves has another cause
@@ -127,7 +142,7 @@ def sentence(
     sizes: Sizes,
     causes: Sequence[Cause],
     shrinkage: Shrinkage | None,
-    best: Name | None,
+    nearest: Sequence[Name],
     *,
     conditions: int,
     noise_known: bool = True,
@@ -138,8 +153,8 @@ def sentence(
 
     Parameters
     ----------
-    best
-        The candidate that removes most of the gap.
+    nearest
+        What removes most of the gap, if it is no answer: what was chosen, or the best single candidate.
     conditions
         How many there are: of one, nothing could be withheld from the fit.
     rest
@@ -151,7 +166,7 @@ def sentence(
             sizes,
             causes,
             shrinkage,
-            best,
+            nearest,
             conditions=conditions,
             noise_known=noise_known,
             rest=rest,
@@ -185,11 +200,12 @@ def sentence(
             f"Parameters explain it: recalibrated within what is known of them, the gap falls from {raw} to "
             f"{recalibrated} times {unit}, and {end}."
         )
-    nearest = "" if best is None else f"; the nearest, {best.words}, removes{removed or ' too little'} of it"
+    names, does = " and ".join(one.words for one in nearest), "remove" if len(nearest) > 1 else "removes"
+    told = f"; the nearest, {names}, {does}{removed or ' too little'} of it" if nearest else ""
     outside = "" if noise_known else ", or acts from outside of what was recorded"
     return (
         f"The cause is not in the library{outside}: a gap of {recalibrated} times {unit} remains after "
-        f"recalibration{nearest}."
+        f"recalibration{told}."
     )
 
 

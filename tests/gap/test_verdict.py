@@ -45,8 +45,16 @@ def test_what_removes_too_little_to_be_the_cause_is_not_taken_for_one():
 def test_causes_that_no_choice_of_conditions_has_explain_nearly_all_of_a_plain_gap_are_impostors(high, said):
     lines = {"repeated": False, "size": 18.0, "chance_of_lines": 1e-9, "remains": True}
     assert verdict(findings(sizes=(300.0, 36.0, 18.0, 0.2), share=(0.75, 0.54, high), **lines)) == said
-    told_by_repeats = {"size": 9.0, "remains": True}
-    assert verdict(findings(sizes=(30.0, 9.0, 4.0, 0.2), share=(0.75, 0.6, high), **told_by_repeats)) == said
+
+
+@pytest.mark.parametrize(("of_withheld", "of_seen"), [(0.96, 0.58), (0.74, 0.96)])
+def test_where_repeats_tell_the_noise_a_share_is_asked_of_what_was_withheld_and_of_what_was_seen(
+    of_withheld, of_seen
+):
+    right = findings(sizes=(60.0, 54.0, 10.8, 0.2), share=(0.96, 0.92, 0.97), remains=True)
+    assert verdict(right) == "partly-explained"
+    share = replace(right.shrinkage, value=of_withheld)
+    assert verdict(replace(right, shrinkage=share, share_of_seen=of_seen)) == "not-in-library"
 
 
 def test_what_may_be_noise_of_the_rest_is_not_held_against_a_weak_cause():

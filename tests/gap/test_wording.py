@@ -12,7 +12,7 @@ CAUSES = (Cause(Name("bias", "angle"), 0.8, {"offset": ResampledNumber(0.1, 0.0,
 
 def said(verdict: str, conditions: int) -> str:
     sizes = Sizes(6.0, 4.0, 0.2, 0.3)
-    return sentence(verdict, sizes, CAUSES, Shrinkage(0.98, 0.9, 1.0), None, conditions=conditions)
+    return sentence(verdict, sizes, CAUSES, Shrinkage(0.98, 0.9, 1.0), (), conditions=conditions)
 
 
 @pytest.mark.parametrize("verdict", ["explained", "parameter", "partly-explained"])
@@ -51,10 +51,10 @@ def test_conditions_measured_once_are_a_limitation_unless_others_tell_the_noise(
 
 def test_a_rest_beyond_noise_is_said_beside_a_cause_that_explains_the_gap() -> None:
     sizes = Sizes(12.0, 10.0, 1.0, 0.1)
-    told = sentence("explained", sizes, CAUSES, Shrinkage(0.98, 0.9, 1.0), None, conditions=4, rest=True)
+    told = sentence("explained", sizes, CAUSES, Shrinkage(0.98, 0.9, 1.0), (), conditions=4, rest=True)
     assert told.endswith("that rest is more than noise: nature's form may be another one, or there is more.")
     little = Sizes(12.0, 10.0, 0.4, 0.1)
-    told = sentence("explained", little, CAUSES, Shrinkage(0.98, 0.9, 1.0), None, conditions=4, rest=True)
+    told = sentence("explained", little, CAUSES, Shrinkage(0.98, 0.9, 1.0), (), conditions=4, rest=True)
     assert "that rest is small, but not all of it noise" in told
     plain = VerdictBasis(sizes, True, True, 1, 0, Shrinkage(0.98, 0.9, 1.0), BeyondScatter(size=2.0))
     assert plain.left_is_gap
@@ -65,20 +65,25 @@ def test_a_rest_beyond_noise_is_said_beside_a_cause_that_explains_the_gap() -> N
 
 
 def test_a_gap_above_the_floor_that_is_called_noise_is_not_said_to_be_below_it() -> None:
-    told = sentence("no-gap", Sizes(0.9, 0.79, 0.79, 0.39), (), None, None, conditions=4)
+    told = sentence("no-gap", Sizes(0.9, 0.79, 0.79, 0.39), (), None, (), conditions=4)
     assert "0.79 times one trial's noise, more than repeats let expect (0.39)" in told
-    assert "up to" in sentence("no-gap", Sizes(0.9, 0.3, 0.3, 0.39), (), None, None, conditions=4)
+    assert "up to" in sentence("no-gap", Sizes(0.9, 0.3, 0.3, 0.39), (), None, (), conditions=4)
 
 
 def test_what_may_be_noise_alone_is_not_told_as_a_gap_that_nothing_explains() -> None:
     small, plain = Sizes(0.5, 0.44, 0.44, 0.2), Sizes(5.0, 4.4, 4.4, 0.2)
-    assert sentence("undecided", small, (), None, None, conditions=4, noise_known=False).startswith(
+    assert sentence("undecided", small, (), None, (), conditions=4, noise_known=False).startswith(
         "No gap that stands out of noise: what model and measurement differ by (0.44 times the noise of a sample)"
     )
     assert "it is a gap, or disturbances" in sentence(
-        "undecided", plain, (), None, None, conditions=4, noise_known=False
+        "undecided", plain, (), None, (), conditions=4, noise_known=False
     )
-    calibrated = sentence(
-        "parameter", replace(small, raw=9.0), (), None, None, conditions=4, noise_known=False
-    )
+    calibrated = sentence("parameter", replace(small, raw=9.0), (), None, (), conditions=4, noise_known=False)
     assert calibrated.endswith("0.44 times the noise of a sample, and the rest may be noise.")
+
+
+def test_what_is_nearest_is_all_that_was_chosen_with_the_share_it_removes() -> None:
+    sizes, share = Sizes(60.0, 54.0, 11.0, 0.2), Shrinkage(0.96, 0.92, 0.97)
+    nearest = (Name("drift", "speed"), Name("bias", "thrust"))
+    told = sentence("not-in-library", sizes, (), share, nearest, conditions=4)
+    assert "the nearest, drift at speed and bias at thrust, remove 96 % of it" in told
