@@ -121,5 +121,6 @@ def _remarks(diagnosis: Mapping[str, Any]) -> list[str]:
         name = Name(cause["effect"], cause["site"], cause["kind"])
         for key, one in cause["values"].items():
             low, high = one["ci95"]
-            found.append(f"{name}: {key} = {one['value']:.5g} [{low:.5g}, {high:.5g}] {one['unit']}")
+            line = f"{name}: {key} = {one['value']:.5g} [{low:.5g}, {high:.5g}] {one['unit']}"
+            found.append(line.removesuffix(" 1"))  # a ratio
     return found

@@ -9,6 +9,7 @@ from labrun.app.diagnose import StoredDiagnosis, save, store
 from labrun.app.run import run as execute
 from labrun.errors import RequestError
 from labrun.gap.diagnose import Options
+from labrun.gap.diagnosis import ResampledNumber
 from labrun.gap.saving import save_model
 from labrun.models import load_model
 from labrun.spec import load_named
@@ -54,6 +55,13 @@ def test_the_corrected_model_says_what_it_was_corrected_by(bench):
     *_, model = bench
     assert "orrected" in model.read_text()
     assert [one.effect.id for one in load_model(model).effects]
+
+
+def test_a_ratio_is_written_without_a_unit(bench, tmp_path):
+    _, _, diagnosis, _ = bench
+    cause = replace(diagnosis.causes[0], values={"share": ResampledNumber(0.1, 0.09, 0.11, "1")})
+    save_model(replace(diagnosis, causes=(cause,)).to_json(), "hinge-pendulum", tmp_path / "saved.toml")
+    assert "share = 0.1 [0.09, 0.11]\n" in (tmp_path / "saved.toml").read_text()
 
 
 @pytest.mark.slow
