@@ -137,7 +137,8 @@ class StreamHealth:
     lost_share
         Of all samples the device made.
     clock_offset_s
-        Run clock minus device clock, median over trials; None without samples. Sample times have it in them already.
+        Run clock minus device clock, median over trials; None without samples, and where only times of one clock
+        were kept, as in a recording made elsewhere. Sample times have it in them already.
     clock_drift_ppm
         How fast the offset changes, parts per million, over the run, or within trials where the device's clock began
         anew between them; None where that is too short to tell.
@@ -172,6 +173,7 @@ def _health(name: str, streams: Sequence[Signals]) -> StreamHealth:
     regular = [report for report in reports if math.isfinite(report.rate_hz)]
     samples = sum(len(stream.time_s) for stream in streams)
     lost = sum(stream.lost for stream in streams)
+    offsets_s = [report.offset_s for report in reports if math.isfinite(report.offset_s)]
     return StreamHealth(
         device=name,
         nominal_hz=streams[0].rate_hz,
@@ -181,7 +183,7 @@ def _health(name: str, streams: Sequence[Signals]) -> StreamHealth:
         lost=lost,
         lost_share=lost / (samples + lost) if samples + lost else 0.0,
         saturated=sum(stream.saturated for stream in streams),
-        clock_offset_s=float(np.median([report.offset_s for report in reports])) if reports else None,
+        clock_offset_s=float(np.median(offsets_s)) if offsets_s else None,
         clock_drift_ppm=_clock_drift_ppm([stream for stream in streams if len(stream.time_s)], reports),
         glitches=sum(report.glitches for report in reports),
     )
@@ -189,8 +191,12 @@ def _health(name: str, streams: Sequence[Signals]) -> StreamHealth:
 
 def _clock_drift_ppm(streams: Sequence[Signals], reports: Sequence[StreamReport]) -> float | None:
     """Return the drift from trial to trial, which tells most; within trials, where the device's clock began anew."""
-    starts_s = np.array([s.device_time_s[0] for s in streams if s.device_time_s is not None])
-    offsets_s = np.array([report.offset_s for report in reports])
+    known = [
+        (stream.device_time_s[0], report.offset_s)
+        for stream, report in zip(streams, reports, strict=True)
+        if stream.device_time_s is not None and math.isfinite(report.offset_s)
+    ]
+    starts_s, offsets_s = np.reshape(known, (-1, 2)).T
     anew = (np.diff(starts_s) <= 0) | (np.abs(np.diff(offsets_s)) > JUMP_S)
     if len(starts_s) > 2 and not anew.any():
         return float(np.polyfit(starts_s - starts_s[0], offsets_s, 1)[0] * 1e6)

@@ -16,6 +16,7 @@ from labrun.app.report import read_findings, write_report
 from labrun.cli.app import app
 from labrun.errors import RecordingError
 from labrun.report.text import interval_words
+from labrun.report.timing import stream_health
 from labrun.search import stored_result
 from labrun.store import RunFolder, import_recording, open_run
 
@@ -191,6 +192,29 @@ def test_an_imported_recording_has_a_report(tmp_path):
     assert "angle (rad)" in words
     assert '<section id="result">' in text
     assert "<svg" in text
+
+
+def test_a_recording_of_several_trials_has_a_report_that_tells_no_clock(tmp_path):
+    folder = tmp_path / "swing"
+    folder.mkdir()
+    trials = "".join(f'[[trials]]\nfile = "{k}.csv"\ncondition = {{ release = {k} }}\n' for k in range(3))
+    (folder / "recording.toml").write_text(
+        f'experiment = "swing"\n[channels.angle]\nkind = "output"\nunit = "rad"\n{trials}'
+    )
+    for trial in range(3):
+        rows = "\n".join(f"{0.01 * k:.2f},{(trial + 1) * (-0.9) ** k:.5f}" for k in range(50))
+        (folder / f"{trial}.csv").write_text(f"time_s,angle\n{rows}\n")
+    with open_run(folder) as run:
+        found = read_findings(run)
+        (stream,) = stream_health(found, range(3))
+        words = words_of(write_report(found, tmp_path / "swing.html").read_text(encoding="utf-8"))
+    assert "3 trials at 3 conditions" in words
+    assert (stream.clock_offset_s, stream.clock_drift_ppm) == (None, None)
+
+
+def test_every_published_recording_has_a_report(recordings, tmp_path):
+    for folder in sorted(one.parent for one in recordings.glob("*/recording.toml")):
+        assert "</html>" in page_of(folder, tmp_path / f"{folder.name}.html")
 
 
 def test_the_command_writes_where_it_is_told_and_says_where(copy, tmp_path):
