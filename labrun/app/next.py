@@ -16,6 +16,7 @@ from labrun.gap.next.trials import free_place, require_experiment_place
 from labrun.models import Model
 from labrun.search import at_settings, conditions, settings_of
 from labrun.spec import LoadedExperiment, load_named
+from labrun.store import require_writable
 from labrun.workers import cores
 
 _RATE_HZ = 100.0
@@ -114,6 +115,7 @@ def plan_trials(
         step_s,
     )
     file = out or free_place(workspace / "experiments", f"{loaded.name}-plan")
+    require_writable(file.parent, file.name)
     with pool(workers or cores()) as each:
         found = plan(
             chosen,

@@ -16,7 +16,7 @@ from labrun.fit import Note, load_dataset, silent
 from labrun.gap import parameter_ranges, require_new
 from labrun.gap import save_model as write_model
 from labrun.models import Exported, MjcfRange, load_model, mjcf_of, mjcf_ranges
-from labrun.store import find_run, is_recording, replace_durably
+from labrun.store import find_run, is_recording, replace_durably, saving
 
 _ISAAC = {
     "dof_damping": ("randomize_actuator_gains", "damping_distribution_params", "joint_names"),
@@ -99,6 +99,8 @@ def export_robot(
     ------
     RequestError
         There is no diagnosis, or a file is there already.
+    StoreError
+        A file cannot be written.
     ModelError
         The model is none of MuJoCo.
     """
@@ -110,7 +112,7 @@ def export_robot(
         if ranges is not None:
             raise RequestError("a model alone has no intervals", hint="name the recording that was diagnosed")
         exported = mjcf_of(load_model(path))
-        replace_durably(file, exported.xml.encode())
+        _write(file, exported.xml)
         return ExportedRobot(file, exported)
     stored = _diagnosis(path, str(target), Path(results))
     source = stored.get("model_source")
@@ -125,10 +127,15 @@ def export_robot(
         if ranges is not None:
             fitted = _fitted(stored, source, corrected, note)
             found = mjcf_ranges(model, {name: (one.value, *one.ci95) for name, one in fitted.items()})
-    replace_durably(file, exported.xml.encode())
+    _write(file, exported.xml)
     if ranges is not None:
-        replace_durably(ranges, (json.dumps(_ranges(found, stored), indent=2) + "\n").encode())
+        _write(ranges, json.dumps(_ranges(found, stored), indent=2) + "\n")
     return ExportedRobot(file, exported, ranges)
+
+
+def _write(file: Path, text: str) -> None:
+    with saving(file.name, file.absolute().parent):
+        replace_durably(file, text.encode())
 
 
 def _fitted(stored: Mapping[str, Any], source: str, corrected: Path, note: Note) -> Mapping[str, Estimate]:

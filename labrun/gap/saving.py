@@ -8,6 +8,7 @@ from labrun.effects import AttachedEffect, load_effect, read_effects
 from labrun.errors import RequestError
 from labrun.gap.diagnosis import Diagnosis, Name
 from labrun.models import corrected_model_text, load_model
+from labrun.store import replace_durably, require_writable, saving
 
 
 def effects_of(diagnosis: Mapping[str, Any]) -> tuple[AttachedEffect, ...]:
@@ -34,6 +35,8 @@ def save_model(diagnosis: Mapping[str, Any], source: str | Path, path: Path) -> 
     ------
     RequestError
         The file is there already.
+    StoreError
+        It cannot be written.
     ModelError
         A value that the model does not allow.
     """
@@ -52,7 +55,7 @@ def save_model(diagnosis: Mapping[str, Any], source: str | Path, path: Path) -> 
         else "Corrected by labrun",
         data=diagnosis["source"],
     )
-    path.write_text(text, encoding="utf-8")
+    _write(path, text)
 
 
 def save_with_law(diagnosis: Diagnosis, source: str | Path, law: Path, path: Path) -> None:
@@ -67,13 +70,15 @@ def save_with_law(diagnosis: Diagnosis, source: str | Path, law: Path, path: Pat
 
     Raises
     ------
+    StoreError
+        A file cannot be written.
     ModelError
         A value that the model does not allow.
     """
     rest = diagnosis.rest
     if rest is None or not rest.terms:
         return
-    law.write_text(f"# {rest.sentence}\n\n{rest.toml}", encoding="utf-8")
+    _write(law, f"# {rest.sentence}\n\n{rest.toml}")
     added = AttachedEffect(read_effects(law.resolve())[0], rest.site, rest.values)
     text = corrected_model_text(
         load_model(source),
@@ -89,17 +94,31 @@ def save_with_law(diagnosis: Diagnosis, source: str | Path, law: Path, path: Pat
         heading="With a law for what the library lacks, by labrun",
         data=diagnosis.source,
     )
-    path.write_text(text, encoding="utf-8")
+    _write(path, text)
+
+
+def _write(path: Path, text: str) -> None:
+    with saving(path.name, path.absolute().parent):
+        replace_durably(path, text.encode())
 
 
 def require_new(path: Path) -> None:
-    """Raise RequestError, before minutes of computing, if a model cannot be written there."""
+    """Refuse, before minutes of computing, a place where no new model can be written.
+
+    Raises
+    ------
+    RequestError
+        A file is there already, or no folder.
+    StoreError
+        Nothing can be written to the folder.
+    """
     if path.is_dir():
         raise RequestError(f"{path} is a folder", hint="name a file, e.g. corrected.toml")
     if path.exists():
         raise RequestError(f"{path} is there already", hint="name another file, or move that one away")
     if not path.absolute().parent.is_dir():
         raise RequestError(f"there is no folder {path.parent} to save the corrected model in")
+    require_writable(path.absolute().parent, path.name)
 
 
 def recalibrated_only(diagnosis: Mapping[str, Any]) -> bool:

@@ -7,10 +7,10 @@ from diagnosing import diagnose
 
 from labrun.app.diagnose import StoredDiagnosis, save, store
 from labrun.app.run import run as execute
-from labrun.errors import RequestError
+from labrun.errors import RequestError, StoreError
 from labrun.gap.diagnose import Options
 from labrun.gap.diagnosis import ResampledNumber
-from labrun.gap.saving import save_model
+from labrun.gap.saving import require_new, save_model
 from labrun.models import load_model
 from labrun.spec import load_named
 
@@ -85,6 +85,30 @@ def test_a_file_that_is_there_is_not_overwritten(bench):
     _, _, diagnosis, model = bench
     with pytest.raises(RequestError, match="there already"):
         save_model(diagnosis.to_json(), "hinge-pendulum", model)
+
+
+def test_a_folder_that_takes_no_file_is_told_before_a_model_is_made(bench, tmp_path, monkeypatch):
+    _, _, diagnosis, _ = bench
+
+    def refused(**_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refused)
+    with pytest.raises(StoreError, match=r"saved\.toml could not be written to .*: Permission denied"):
+        require_new(tmp_path / "saved.toml")
+    with pytest.raises(StoreError, match="Permission denied"):
+        save_model(diagnosis.to_json(), "hinge-pendulum", tmp_path / "saved.toml")
+
+
+def test_a_disk_that_is_full_when_the_model_is_written_is_told_in_words(bench, tmp_path, monkeypatch):
+    _, _, diagnosis, _ = bench
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("labrun.gap.saving.replace_durably", full)
+    with pytest.raises(StoreError, match="the disk is full"):
+        save_model(diagnosis.to_json(), "hinge-pendulum", tmp_path / "saved.toml")
 
 
 def test_a_stored_diagnosis_gives_the_same_model(bench):

@@ -27,7 +27,7 @@ from labrun.gap.next.separation import (
 )
 from labrun.gap.next.trials import PlannedTrial, free_place
 from labrun.gap.pipeline import Search, search_causes
-from labrun.store import imported_channels, open_run
+from labrun.store import imported_channels, open_run, require_writable
 
 Outcome = Literal["separates", "helps", "cannot"]
 
@@ -327,17 +327,19 @@ def propose(
     Raises
     ------
     LabrunError
-        Data or a model that do not allow a diagnosis; a rig whose motion cannot be planned; a file that is there.
+        Data or a model that do not allow a diagnosis; a rig whose motion cannot be planned; a file that is there, or
+        that cannot be written.
     """
     rng = np.random.default_rng(seed)
     dataset, repeats = question.dataset, criteria.NEXT_REPEATS
-    search = search_causes(dataset, question.model, rng, note=note)
     run = None if dataset.kind == "recording" else open_run(target)
     if run is None or imported_channels(run.experiment_toml):
+        file = out or free_place(workspace, f"{dataset.name}-next", "recording.toml")
+        require_writable(file.parent, file.name)
+        search = search_causes(dataset, question.model, rng, note=note)
         recording = RecordingBench(search.data, question.model, repeats)
         found = design(search, dataset, inside(search, dataset, recording.pool()), note)
         time_s = time_at_most_s = sum(trial.cost_s for trial in found.trials)
-        file = out or free_place(workspace, f"{dataset.name}-next", "recording.toml")
         notes = [
             "The recording does not say what its rig allows: every input stays within the range it was recorded in; "
             "check speeds and resets yourself. The time is that of recording alone.",
@@ -347,6 +349,9 @@ def propose(
         if found.outcome != "cannot":
             recording.write(file, f"{dataset.name}-next", dataset, found.trials, _remarks(found, time_s))
         return _proposal(found, file, (time_s, time_at_most_s), notes, commands)
+    file = out or free_place(workspace / "experiments", f"{run.name}-next")
+    require_writable(file.parent, file.name)
+    search = search_causes(dataset, question.model, rng, note=note)
     bench = RunBench.of(run, dataset, question.model, question.signals, repeats)
     note("looking what the rig allows")
     found = design(search, dataset, bench.pool(rng), note)
@@ -358,7 +363,6 @@ def propose(
         return _proposal(found, None, (0.0, 0.0), notes, [])
     plan = bench.plan(found.trials)
     time_s = bench.time_s(plan)
-    file = out or free_place(workspace / "experiments", f"{run.name}-next")
     named = None if model is None else _model_name(model, file)
     bench.write(file, found.trials, _remarks(found, time_s), named)
     shown = file.stem if file.parent.name == "experiments" else str(file)

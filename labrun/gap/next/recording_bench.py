@@ -12,6 +12,7 @@ from labrun.fit import Dataset, FitTrial
 from labrun.gap.next.trials import PlannedTrial, by_hand, evenly, require_free, write_plan
 from labrun.models import Model
 from labrun.spec import condition_key, condition_text
+from labrun.store import saving
 
 _FACTORS = (0.25, 0.5, -1.0)
 _GENTLER = (0.5, 0.25)
@@ -187,4 +188,5 @@ class RecordingBench:
         for file, trial, _ in files:
             require_free(path.parent / file)
             table = np.column_stack([trial.time_s, trial.inputs])
-            np.savetxt(path.parent / file, table, delimiter=",", header=header, comments="", fmt="%.9g")
+            with saving(file, path.absolute().parent):
+                np.savetxt(path.parent / file, table, delimiter=",", header=header, comments="", fmt="%.9g")

@@ -185,7 +185,7 @@ class RunBench:
 
         Raises
         ------
-        RequestError
+        StoreError
             It cannot be written.
         SpecError
             What was written does not hold.

@@ -13,6 +13,7 @@ from labrun.arrays import FloatArray
 from labrun.errors import RequestError
 from labrun.fit import Dataset, FitTrial
 from labrun.gap import criteria
+from labrun.store import replace_durably, saving
 
 T = TypeVar("T")
 
@@ -186,9 +187,8 @@ def require_free(path: Path) -> None:
 
 
 def write_plan(path: Path, remarks: Sequence[str], tables: Mapping[str, Any]) -> None:
-    """Write a TOML file with remarks at its head."""
-    try:
+    """Write a TOML file with remarks at its head; StoreError where it cannot be written."""
+    with saving(path.name, path.absolute().parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("".join(f"# {line}\n" for line in remarks) + tomli_w.dumps(tables), encoding="utf-8")
-    except OSError as error:
-        raise RequestError(f"{path} cannot be written: {error.strerror}") from error
+        text = "".join(f"# {line}\n" for line in remarks) + tomli_w.dumps(tables)
+        replace_durably(path, text.encode())

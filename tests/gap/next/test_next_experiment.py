@@ -9,7 +9,7 @@ import pytest
 from ambiguous import Bench, sine
 
 from labrun.app.next import propose_next as propose
-from labrun.errors import RecordingError, RequestError
+from labrun.errors import RecordingError, RequestError, StoreError
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.store import read_recording
 
@@ -211,3 +211,17 @@ def test_a_proposal_that_could_not_be_run_by_its_name_is_not_begun(tmp_path):
     with pytest.raises(RequestError, match=r"does not end in \.toml") as caught:
         propose(tmp_path, out=tmp_path / "mine")
     assert caught.value.hint == f"--out {tmp_path / 'mine'}.toml"
+
+
+def test_a_place_that_takes_no_file_is_told_before_anything_is_computed(tmp_path, monkeypatch):
+    bench, _, _ = PAIRS["delay or lag"]
+    recorded = bench.write(tmp_path / "recorded")
+
+    def refused(**_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refused)
+    notes = []
+    with pytest.raises(StoreError, match="nothing was computed"):
+        propose(recorded, out=tmp_path / "next.toml", note=notes.append)
+    assert notes == [f"reading {recorded}"]

@@ -5,6 +5,7 @@ from diagnosing import diagnose
 
 from labrun.app.next import propose_next as propose
 from labrun.app.run import run as execute
+from labrun.errors import StoreError
 from labrun.gap.diagnose import Options
 from labrun.gap.next.trials import beyond, by_hand, rounded
 from labrun.runner import Planner
@@ -36,6 +37,21 @@ def test_from_a_run_to_its_next_experiment_and_to_the_diagnosis_of_both(tmp_path
     found = diagnose(first, more=[second], workspace=tmp_path, options=Options(places=False))
     assert [str(cause.name) for cause in found.causes] == ["quadratic-drag at hinge"]
     assert not {str(name) for name in found.causes[0].indistinguishable_from} & set(proposal.rivals)
+
+
+def test_a_workspace_that_takes_no_file_is_told_before_anything_is_computed(tmp_path, monkeypatch):
+    run = dry_run(
+        tmp_path, "hinge", ["run.conditions=[{release=10}]", "trial.repeats=1", "trial.duration_s=1"]
+    )
+
+    def refused(**_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refused)
+    notes = []
+    with pytest.raises(StoreError, match=r"hinge-next\.toml could not be written"):
+        propose(run, workspace=tmp_path, note=notes.append)
+    assert notes == [f"reading {run}"]
 
 
 def test_values_go_as_far_as_the_limit_and_to_the_other_side():

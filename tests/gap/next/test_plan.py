@@ -4,7 +4,7 @@ import pytest
 
 from labrun.app.check import check
 from labrun.app.next import plan_trials
-from labrun.errors import RequestError
+from labrun.errors import RequestError, StoreError
 from labrun.report.gap_text import plan_text
 
 
@@ -71,3 +71,14 @@ def test_bad_requests_are_told_before_anything_is_computed(folder, plan):
     with pytest.raises(RequestError, match="positive size of an output") as refused:
         plan_trials("hinge-pendulum", "hinge", noise={"angel": 1.0}, out=folder / "x.toml", workspace=folder)
     assert "angle" in refused.value.hint
+
+
+def test_a_folder_that_takes_no_file_is_told_before_anything_is_computed(folder, monkeypatch):
+    def refused(**_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refused)
+    notes = []
+    with pytest.raises(StoreError, match="nothing was computed"):
+        plan_trials("hinge-pendulum", "hinge", out=folder / "y.toml", workspace=folder, note=notes.append)
+    assert notes == []
