@@ -28,7 +28,7 @@ from labrun.spec import (
     find_experiment,
     load_named,
 )
-from labrun.store import is_recording, lacking_room
+from labrun.store import find_data, is_recording, lacking_room
 
 NO_SCENE = "[rig] names no scene: joints follow their commands, sensors read zero and their own noise"
 
@@ -106,7 +106,6 @@ def is_meant_as_recording(target: str) -> bool:
 
 
 def _is_named_recording(target: str) -> bool:
-    from labrun.app.question import find_data  # models and fits
 
     try:
         return is_recording(find_data(target, Path("results")))

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from labrun.app.diagnose_robot import joint_by_joint
-from labrun.app.question import find_data, held_against, load_held, named_model
+from labrun.app.question import held_against, load_held, named_model
 from labrun.errors import FitError
 from labrun.fit import Dataset, OutputsAlone, Problem, divergence_warnings, load_dataset
 from labrun.gap import require_informative, with_sound_clocks
 from labrun.models import Model
 from labrun.report.text import aligned, counted, short_time_text
 from labrun.spec import condition_key
-from labrun.store import Recording, is_recording, read_recording
+from labrun.store import Recording, find_data, is_recording, read_recording
 
 _TURNED_TOO_FAR = 2.2 * math.pi
 """An angle in rad beyond 1.1 turns may be one in degrees; logs of robots are asked the same."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from labrun.app.kept import kept_folder, stem_of
-from labrun.app.question import find_data, held_against, load_held, named_model
+from labrun.app.question import held_against, load_held, named_model
 from labrun.errors import RequestError
 from labrun.fit import (
     Comparison,
@@ -26,7 +26,7 @@ from labrun.fit import (
 from labrun.models import Model
 from labrun.notebook import as_html
 from labrun.report.comparison import comparison_figure, comparison_json, comparison_text
-from labrun.store import all_runs, is_recording, open_run, read_recording, require_writable
+from labrun.store import all_runs, find_data, is_recording, open_run, read_recording, require_writable
 
 _NOTEBOOK_WIDTH = 100
 
@@ -74,7 +74,7 @@ def compare(
     Parameters
     ----------
     target
-        The data: an experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
+        The data: an experiment's name (its latest run), a run folder, a run.h5, or a recording's name or folder.
     other
         What is held against them, named likewise; else a model is. The same experiment's name again is the run before
         its latest. With ``design:`` and ``rig:`` before their names, what a design promised is held against what

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from labrun.app.question import ask, find_data
+from labrun.app.question import ask
 from labrun.errors import RequestError
 from labrun.fit import Note, silent
 from labrun.fit import workers as pool
 from labrun.gap import Question, UnitComparison
 from labrun.gap import compare_units as compare_datasets
+from labrun.store import find_data
 from labrun.workers import cores
 
 
@@ -31,7 +32,7 @@ def compare_units(
     Parameters
     ----------
     first, second
-        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording's name or folder.
     model
         A model file or plugin; else what the first of them names. Sizes of effects it carries are compared, too.
     signals

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 from rich.text import Text
 
 from labrun.app.kept import FOLDER, as_texts, keep, kept_folder, read_stored
-from labrun.app.question import ask, find_data
+from labrun.app.question import ask
 from labrun.errors import RequestError
 from labrun.fit import Note, silent
 from labrun.gap import Diagnosis, Options, diagnose_dataset, recalibrated_only, require_new, save_with_law
 from labrun.gap import save_model as write_model
 from labrun.notebook import as_html
 from labrun.report.gap_text import gap_lines
-from labrun.store import find_run, require_writable
+from labrun.store import find_data, find_run, require_writable
 from labrun.workers import cores
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def diagnose(
     Parameters
     ----------
     target, more
-        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder; and further ones.
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording; and further ones.
     model
         A model file or plugin, instead of what the experiment or the recording names.
     signals

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from labrun.app.kept import FOLDER, as_texts, keep, kept_folder
-from labrun.app.question import ask, find_data
+from labrun.app.question import ask
 from labrun.fit import Dataset, Note, silent
 from labrun.gap import Options, RobotDiagnosis, diagnose_robot, require_new, why_not
 from labrun.gap import save_model as write_model
 from labrun.models import Robot, read_robot, with_grip_held
 from labrun.report.robot import robot_lines
-from labrun.store import require_writable
+from labrun.store import find_data, require_writable
 from labrun.workers import cores
 
 ROBOT = "robot.xml"

@@ -10,14 +10,14 @@ import numpy as np
 
 from labrun import registry
 from labrun.app.kept import kept_folder, stem_of
-from labrun.app.question import declared_plan, find_data, fit_plan, named_model
+from labrun.app.question import declared_plan, fit_plan, named_model
 from labrun.errors import RequestError
 from labrun.fit import GROUP, FitJob, FitPlan, FitSummary, Note, is_method, make_method, silent
 from labrun.models import load_model, shipped_models
 from labrun.report.figures.fits import fit_figure
 from labrun.report.style import save
 from labrun.spec import apply_overrides, find_model_file, load_named
-from labrun.store import is_recording, replace_durably, require_writable
+from labrun.store import find_data, is_recording, replace_durably, require_writable
 from labrun.toml import nearest
 
 
@@ -42,7 +42,7 @@ def fit(
     Parameters
     ----------
     target
-        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder. Where `data` is given: the
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording. Where `data` is given: the
         experiment whose way of fitting is used.
     data
         A recording folder or run to fit in the way of the experiment `target`. A recording with a model.toml of its own

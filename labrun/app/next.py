@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labrun.app.question import ask, find_data, named_model
+from labrun.app.question import ask, named_model
 from labrun.errors import RequestError
 from labrun.fit import Note, silent
 from labrun.fit import workers as pool
@@ -16,7 +16,7 @@ from labrun.gap.next.trials import free_place, require_experiment_place
 from labrun.models import Model
 from labrun.search import at_settings, conditions, settings_of
 from labrun.spec import LoadedExperiment, load_named
-from labrun.store import require_writable
+from labrun.store import find_data, require_writable
 from labrun.workers import cores
 
 _RATE_HZ = 100.0

@@ -24,7 +24,7 @@ def open(target: str | Path, results: str | Path = "results") -> "OpenRun":  # n
     Parameters
     ----------
     target
-        An experiment's name (its latest run), a run folder, a ``run.h5``, a run's own name, or a recording folder.
+        An experiment's name (its latest run), a run folder, a ``run.h5``, a run's own name, or a recording.
     results
         Where runs are.
 

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from labrun.app.question import ask, find_data, named_model
+from labrun.app.question import ask, named_model
 from labrun.errors import LabrunError, RequestError
 from labrun.fit import Note, silent
 from labrun.gap import FreshTest
 from labrun.gap import predict_fresh as predict
 from labrun.models import Model, load_model
+from labrun.store import find_data
 
 
 def predict_fresh(
@@ -33,7 +34,7 @@ def predict_fresh(
     model
         A model file, plugin or name, as of `compare`; a corrected one knows what it came from.
     fresh
-        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording's name or folder.
     horizons_s
         How far ahead; 0.1, 0.5 and 2 s, as far as the trials reach, if None.
     beside

@@ -8,42 +8,9 @@ from labrun.errors import RequestError
 from labrun.fit import Dataset, FitPlan, load_dataset, thinned, until_peak
 from labrun.gap import Question
 from labrun.models import Model, load_model
-from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment, shipped_experiments
-from labrun.store import find_run, imported_channels, is_recording, open_run
-from labrun.toml import nearest, suggest
-
-
-def find_data(target: str | Path, results: Path) -> Path:
-    """Return the run or recording that a person means.
-
-    Parameters
-    ----------
-    target
-        An experiment's name (its latest run), a run folder, a run.h5, a recording folder, or the name of a recording of
-        this workspace, or of those that ship with labrun (``table-3-2``).
-    results
-        Where runs are.
-
-    Raises
-    ------
-    RequestError
-        There is none; names what is nearest.
-    """
-    folder = Path(target).expanduser()
-    if len(folder.parts) > 1 or is_recording(folder):
-        return folder if is_recording(folder) else find_run(str(target), results)
-    shelves = [one / "recordings" for one in (Path("experiments"), shipped_experiments())]
-    named = next((one for shelf in shelves if is_recording(one := shelf / folder)), None)
-    if named is not None:
-        return named
-    try:
-        return find_run(str(target), results)
-    except RequestError as error:
-        recordings = {one.parent.name for shelf in shelves for one in shelf.glob("*/recording.toml")}
-        near = nearest(str(target), recordings)
-        if near is None or str(error.hint).startswith("did you mean"):
-            raise
-        raise RequestError(str(error.args[0]), hint=f"did you mean the recording {near!r}?") from None
+from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment
+from labrun.store import imported_channels, is_recording, open_run
+from labrun.toml import suggest
 
 
 def named_model(name: str | Path, workspace: Path, experiment: Path | None = None) -> Model:

@@ -35,7 +35,7 @@ def report(
     Parameters
     ----------
     target
-        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder; the latest run if None.
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording; the latest run if None.
     output
         The file. Else ``report.html`` in the run's folder; of a ``run.h5`` that stands alone, ``<name>-report.html``
         beside it; of a recording, which is never written to, ``<name>-report.html`` in the current folder.
@@ -188,7 +188,7 @@ def export(
     Parameters
     ----------
     target
-        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording's name or folder.
     to
         ``"csv"`` or ``"netcdf"``.
     output

@@ -16,7 +16,7 @@ from labrun.fit import Note, load_dataset, silent
 from labrun.gap import parameter_ranges, require_new
 from labrun.gap import save_model as write_model
 from labrun.models import Exported, MjcfRange, load_model, mjcf_of, mjcf_ranges
-from labrun.store import find_run, is_recording, replace_durably, saving
+from labrun.store import find_data, is_recording, replace_durably, saving
 
 _ISAAC = {
     "dof_damping": ("randomize_actuator_gains", "damping_distribution_params", "joint_names"),
@@ -160,13 +160,14 @@ def _diagnosis(path: Path, target: str, results: Path) -> Mapping[str, Any]:
             hint="a robot's file and its log make a model: "
             "labrun gap diagnose arm.xml --log run.mcap --save-model corrected.toml",
         )
-    if not is_recording(path):
-        return read_stored(find_run(target, results))
+    named = find_data(target, results)
+    if not is_recording(named):
+        return read_stored(named)
     found = sorted(
-        (results / path.resolve().name).glob(f"gap-*/{NUMBERS}"), key=lambda one: one.stat().st_mtime
+        (results / named.resolve().name).glob(f"gap-*/{NUMBERS}"), key=lambda one: one.stat().st_mtime
     )
     if not found:
-        raise RequestError(f"{path} has no diagnosis yet", hint=f"labrun gap diagnose {path} makes one")
+        raise RequestError(f"{target} has no diagnosis yet", hint=f"labrun gap diagnose {target} makes one")
     return dict(json.loads(found[-1].read_text(encoding="utf-8")))
 
 

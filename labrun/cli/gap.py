@@ -222,7 +222,7 @@ def test(
         typer.Option(
             metavar="TARGET",
             help="The run or recording that it was not fitted to: an experiment's name (its latest run), a run folder "
-            "or run.h5, or a recording folder.",
+            "or run.h5, or a recording's name or folder.",
             autocompletion=options.complete_experiment,
         ),
     ],

@@ -21,7 +21,7 @@ Name = Annotated[
         help="Experiment: its name, or the path of its TOML file.", autocompletion=complete_experiment
     ),
 ]
-_TARGET = "An experiment's name (its latest run), a run folder or run.h5, or a recording folder"
+_TARGET = "An experiment's name (its latest run), a run folder or run.h5, or a recording's name or folder"
 Target = Annotated[str, typer.Argument(help=f"{_TARGET}.", autocompletion=complete_experiment)]
 TargetOrRobot = Annotated[
     str,

@@ -58,6 +58,41 @@ def find_run(target: str | Path | None, results: Path) -> Path:
     raise _unknown(target, results)
 
 
+def find_data(target: str | Path, results: Path) -> Path:
+    """Return the run or recording that a person means.
+
+    Parameters
+    ----------
+    target
+        A recording folder, the name of a recording of this workspace or of those that ship with labrun
+        (``table-3-2``), or a run as `find_run` takes it.
+
+    Raises
+    ------
+    RequestError
+        There is none; names what is nearest.
+    """
+    from labrun.spec import shipped_experiments
+
+    folder = Path(target).expanduser()
+    if is_recording(folder):
+        return folder
+    if len(folder.parts) > 1:
+        return find_run(target, results)
+    shelves = [one / "recordings" for one in (Path("experiments"), shipped_experiments())]
+    named = next((one for shelf in shelves if is_recording(one := shelf / folder)), None)
+    if named is not None:
+        return named
+    try:
+        return find_run(target, results)
+    except RequestError as error:
+        recordings = {one.parent.name for shelf in shelves for one in shelf.glob("*/recording.toml")}
+        near = nearest(str(target), recordings)
+        if near is None or str(error.hint).startswith("did you mean"):
+            raise
+        raise RequestError(str(error.args[0]), hint=f"did you mean the recording {near!r}?") from None
+
+
 def find_unfinished(target: str | None, results: Path) -> Path:
     """Return the run to go on with: the one named, or the latest that did not finish.
 

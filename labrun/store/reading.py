@@ -16,7 +16,7 @@ from labrun.errors import RecordingError
 from labrun.signals import LongSignals, Signals, joined
 from labrun.store.folder import RunFolder, TrialSource, require_current
 from labrun.store.journal import parse_events, software_and_machine
-from labrun.store.locate import PACKED, SPEC, TRIALS, find_run
+from labrun.store.locate import PACKED, SPEC, TRIALS, find_data
 from labrun.store.packed_file import PackedTrials, RunTexts
 from labrun.store.recording import Recording, is_recording, read_recording
 from labrun.store.trial import SETTLE, TrialOutcome, known_units
@@ -180,17 +180,17 @@ def open_run(target: Path) -> Run:
 
 
 def open_target(target: str, results: Path) -> Run:
-    """Open what a person names: a run as `labrun.store.locate.find_run` takes it, or a recording folder.
+    """Open what a person names: a run or a recording as `labrun.store.locate.find_data` finds it.
 
     Raises
     ------
     RequestError
-        There is no such run; names what is nearest.
+        There is none; names what is nearest.
     RecordingError
         It cannot be read, or the recording has faults.
     """
-    folder = Path(target).expanduser()
-    return open_run(folder.absolute() if is_recording(folder) else find_run(target, results))
+    found = find_data(target, results)
+    return open_run(found.absolute() if is_recording(found) else found)
 
 
 def _open_folder(folder_path: Path, target: Path) -> Run:

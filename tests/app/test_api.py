@@ -3,8 +3,10 @@
 from types import SimpleNamespace
 
 import pytest
+from typer.testing import CliRunner
 
 import labrun
+from labrun.cli.app import app
 from labrun.errors import PlanError, RequestError, StoreError
 
 
@@ -74,6 +76,30 @@ def test_a_recording_has_a_report_in_the_current_folder_and_is_left_as_it_is(tmp
     assert written.resolve() == tmp_path / "swing-report.html"
     assert "angle" in written.read_text()
     assert sorted(path.name for path in recording.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["show", "table-7-2"],
+        ["report", "table-7-2"],
+        ["export", "table-7-2", "--to", "csv"],
+    ],
+)
+def test_a_recording_that_ships_is_read_by_its_name(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    assert "table-7-2" in done.output
+
+
+def test_a_recording_is_opened_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    recording = labrun.open("table-7-2")
+    assert recording.path.name == "table-7-2"
+    with pytest.raises(RequestError, match="there is no run 'table-7-3x'") as raised:
+        labrun.open("table-7-3x")
+    assert "did you mean the recording" in str(raised.value.hint)
 
 
 def test_a_plan_that_does_not_fit_on_the_disk_is_refused_before_anything_is_made(tmp_path, monkeypatch):

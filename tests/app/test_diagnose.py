@@ -9,9 +9,9 @@ import pytest
 
 from labrun.app.diagnose import store
 from labrun.app.kept import read_stored
-from labrun.app.question import find_data
 from labrun.errors import RequestError
 from labrun.gap import Sizes
+from labrun.store import find_data
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ import pytest
 from analytic_bench import search_experiment
 
 from labrun.app.check import check, require_room
-from labrun.app.question import find_data
 from labrun.app.resume import resume
 from labrun.app.run import run as execute
 from labrun.errors import LabrunError, PlanError, RequestError, SpecError
@@ -16,7 +15,7 @@ from labrun.report.terminal import plan_text
 from labrun.runner import Interrupted, Rig, SilentProgress
 from labrun.search import Best, RunResult
 from labrun.spec import load_experiment
-from labrun.store import RunFolder
+from labrun.store import RunFolder, find_data
 
 
 def objectives(run):
