@@ -56,7 +56,7 @@ def draw_plain_run(view: RunView) -> Figure | None:
                     _traces(axes, view, shown[number], channel)
                 else:
                     _each_cycle(axes, cycles[number])
-                    # shared; trials of a single sample have no length
+                # shared; trials of a single sample have no length
                 axes.set_xlim(0, (max(_lengths_s(shown)) or 1) if cycles is None else 1)
                 axes.set_title(condition_title(view, shown[number][0]))
                 if number + columns >= len(shown):

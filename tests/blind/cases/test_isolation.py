@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -65,3 +66,18 @@ def test_it_runs_where_labrun_cannot_be_imported(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "alone" / "cases" / "case-0002" / "recording.toml").is_file()
+
+
+def test_the_import_rules_name_every_part_of_labrun_that_the_generator_could_borrow_from() -> None:
+    package = GENERATOR.parents[1]
+    rules = tomllib.loads((package.parent / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "importlinter"
+    ]
+    (rule,) = (one for one in rules["contracts"] if one.get("source_modules") == ["labrun.blind.cases"])
+    parts = [
+        f"labrun.{one.stem}" for one in package.iterdir() if one.suffix in ("", ".py") and one.name != "blind"
+    ]
+    parts += [f"labrun.blind.{one.stem}" for one in GENERATOR.parent.glob("*.py")]
+    assert {one for one in parts if "__" not in one and "shipped" not in one} <= set(
+        rule["forbidden_modules"]
+    )
