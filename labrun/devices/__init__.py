@@ -1,4 +1,4 @@
-"""What a device is. A plugin needs this package and nothing deeper."""
+"""What a device is. A plugin needs this and nothing deeper; its emulator `emulation` and `emulated_ports`, too."""
 
 from labrun.arrays import FloatArray
 from labrun.devices.clock import Clock

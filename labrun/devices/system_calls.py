@@ -21,7 +21,7 @@ _POLLIN, _POLLOUT, _POLLERR = 1, 4, 8 | 16 | 32
 
 @inlined
 def clock_s() -> float:
-    """Return the time of the host's monotonic clock, s, as `labrun.devices.host_clock.HostClock`."""
+    """Return the time of the host's monotonic clock, s, as `labrun.devices.clock.RealClock`."""
     now = np.empty(2, dtype=np.int64)
     _clock_gettime(_MONOTONIC, now.ctypes)
     return float(now[0] + 1e-9 * now[1])

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
+import labrun
 from labrun.spec import Experiment, key_reference
 
 ROOT = Path(__file__).parents[2]
@@ -79,6 +80,22 @@ def test_every_module_of_the_reference_is_there():
     assert len(names) > 40
     for name in names:
         assert importlib.import_module(name).__doc__, f"{name} has no docstring"
+
+
+def test_every_function_of_the_api_has_its_line_and_its_place_in_the_reference():
+    functions = {name for name in dir(labrun) if not name.startswith("_")}
+    lines = re.findall(r"^\| `labrun.*", (DOCS / "python.md").read_text(encoding="utf-8"), re.M)
+    assert {name for line in lines for name in re.findall(r"`labrun\.(\w+)\(", line)} == functions
+    reference = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md"))
+    modules = set(re.findall(r"^::: (\S+)", reference, re.M))
+    assert {f"labrun.app.{module}" for module in labrun._USE_CASES.values()} <= modules
+
+
+def test_every_file_that_the_rules_for_contributors_name_is_there():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:labrun|docs|tests|plugins)/[\w./-]+)`", text)
+    assert named
+    assert not [name for name in named if not (ROOT / name).exists()]
 
 
 @pytest.mark.slow
