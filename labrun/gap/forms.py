@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.effects import EffectParameter
-from labrun.fit import Jacobian, Problem, minimise
+from labrun.fit import Problem, minimise
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.noise_threshold import NoiseThreshold
@@ -79,19 +79,12 @@ def resolved(base: Base, screened: Screened) -> Screened:
         finer = in_shorter_steps(problem, screened.z, criteria.STEPS_DO * screened.squares)
         if finer is problem:
             break
-        # derivatives in the longer steps cost less, and show the way
-        near = problem.jacobian(screened.z, central=False, beside=around(base, screened.candidate))
-        screened = _ended(base, screened, finer, screened.z, near)
+        # with derivatives in these steps: those in the longer ones led Stribeck's friction to the end of Coulomb's
+        screened = _ended(base, screened, finer, screened.z)
     return screened
 
 
-def _ended(
-    base: Base,
-    screened: Screened,
-    problem: Problem,
-    start: FloatArray,
-    derivatives: Jacobian | None = None,
-) -> Screened:
+def _ended(base: Base, screened: Screened, problem: Problem, start: FloatArray) -> Screened:
     beside = around(base, screened.candidate)
     z = minimise(
         problem,
@@ -99,7 +92,6 @@ def _ended(
         tolerance=criteria.FIT_TOLERANCE,
         evaluations=criteria.FIT_EVALUATIONS,
         central=False,
-        derivatives=derivatives,
         secant=True,
         beside=beside,
         renewals=criteria.FIT_RENEWALS,
@@ -180,8 +172,8 @@ def _shape_fitted(base: Base, screened: Screened, floor: float, usual: Candidate
                 tolerance=criteria.ROUGH_TOLERANCE,
                 evaluations=criteria.ROUGH_EVALUATIONS,
                 central=False,
-                secant=True,
-                confirmed=False,
+                secant=beside is not None,
+                confirmed=beside is None,
                 beside=beside,
             )
             for start in _starts(candidate, choices, sizes)
