@@ -10,9 +10,8 @@ from labrun.app.question import ask, named_model
 from labrun.errors import RequestError
 from labrun.fit import Note, silent
 from labrun.fit import workers as pool
-from labrun.gap.next import Proposal, RunBench, TrialPlan, propose
+from labrun.gap.next import Proposal, RunBench, TrialPlan, free_place, propose, require_experiment_place
 from labrun.gap.next import plan_trials as plan
-from labrun.gap.next.trials import free_place, require_experiment_place
 from labrun.models import Model
 from labrun.search import at_settings, conditions, settings_of
 from labrun.spec import LoadedExperiment, load_named

@@ -1,7 +1,6 @@
 """Functions as machine code: of Python, or of checked equations; called through their address, kept on disk."""
 
-from labrun.compiled.equations import equations, generated, is_generated, law, needed, signal_step
-from labrun.compiled.native import (
+from labrun.compiled.functions import (
     IntPointer,
     NativeFunction,
     Pointer,
@@ -12,6 +11,7 @@ from labrun.compiled.native import (
     kernel,
     native,
 )
+from labrun.compiled.generation import equations, generated, is_generated, law, needed, signal_step
 
 __all__ = [
     "IntPointer", "NativeFunction", "Pointer", "Signature", "ThroughAddresses", "compiled", "equations",

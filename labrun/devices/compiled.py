@@ -35,7 +35,7 @@ class CompiledWire:
     Attributes
     ----------
     send
-        Address of a function of the signature of `labrun.compiled.native`: at the clock's `t` it sends the angles
+        Address of a function of the signature of `labrun.compiled.functions`: at the clock's `t` it sends the angles
         ``u`` (rad), which it checks once more against the limits, and writes what it came to to ``out[0]``; ``x`` is
         `state`, ``p`` are `parameters`. It does not wait.
     state

@@ -15,7 +15,7 @@ from labrun.models.mjcf.inverse import Carried, RobotTerms, TipLoad, carried, ro
 from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, read_robot
 from labrun.models.mjcf.robot_table import robot_table
 from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter, natives
-from labrun.models.observed import measured_name, observed
+from labrun.models.observer import measured_name, observed
 from labrun.models.simulation import (
     Simulation,
     Stepper,
