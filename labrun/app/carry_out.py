@@ -13,8 +13,7 @@ from typing import Any, Literal
 from labrun.devices import Excess
 from labrun.errors import ExperimentError, LabrunError, PlanError
 from labrun.objectives import make_objective
-from labrun.report import RunView, experiment_of
-from labrun.report.text import counted
+from labrun.report import RunView, counted, experiment_of
 from labrun.runner import (
     Interrupted,
     LimitReached,
@@ -350,13 +349,12 @@ def fitted(
 
 def draw(folder: Path, best: Best | None, search: int = 0) -> Path | None:
     """Draw a run as its kind asks for, into its folder; None where there is nothing to draw."""
-    from labrun.report.figures import run_figure  # matplotlib
-    from labrun.report.style import save
+    from labrun.report import run_figure, save_figure  # matplotlib
 
     with open_run(folder) as run:
         view = RunView(run, experiment_of(run.experiment_toml, run.name), best)
         figure = run_figure(view, read_generations(search_folder(folder, search)))
-    return None if figure is None else save(figure, folder / FIGURE)
+    return None if figure is None else save_figure(figure, folder / FIGURE)
 
 
 def _drawn(run: Path, best: Best | None, progress: Progress, search: int = 0) -> Path | None:

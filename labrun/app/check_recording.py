@@ -14,7 +14,7 @@ from labrun.errors import FitError
 from labrun.fit import Dataset, OutputsAlone, Problem, divergence_warnings, load_dataset
 from labrun.gap import require_informative, with_sound_clocks
 from labrun.models import Model
-from labrun.report.text import aligned, counted, short_time_text
+from labrun.report import aligned, counted, short_time_text
 from labrun.spec import condition_key
 from labrun.store import Recording, find_data, is_recording, read_recording
 

@@ -25,7 +25,7 @@ from labrun.fit import (
 )
 from labrun.models import Model
 from labrun.notebook import as_html
-from labrun.report.comparison import comparison_figure, comparison_json, comparison_text
+from labrun.report import comparison_figure, comparison_json, comparison_text
 from labrun.store import all_runs, find_data, is_recording, open_run, read_recording, require_writable
 
 _NOTEBOOK_WIDTH = 100
@@ -122,12 +122,11 @@ def compare(
             comparison = _made(*told_apart(data, held), pairs, notes)
     comparison = replace(comparison, tolerance=accepted)
     note("drawing")
-    from labrun.report.figures.fits import drawn  # matplotlib
-    from labrun.report.style import save
+    from labrun.report import draw_figure, save_figure  # matplotlib
 
     kept.mkdir(parents=True, exist_ok=True)
     stem = stem_of(comparison.prediction)
-    figure = save(drawn(comparison_figure(comparison)), kept / f"{stem}.png")
+    figure = save_figure(draw_figure(comparison_figure(comparison)), kept / f"{stem}.png")
     numbers = kept / f"{stem}.json"
     sources = {"source": str(folder), "against": str(against or found.source)}
     record = json.dumps({**comparison_json(comparison), **sources}, indent=2)

@@ -30,7 +30,7 @@ from labrun.design import (
 )
 from labrun.errors import PlanError, RequestError
 from labrun.objectives import make_objective
-from labrun.report.text import counted
+from labrun.report import counted
 from labrun.runner import Plan, Progress, SearchSpace, SilentProgress
 from labrun.search import Best, RunResult, honest_best, read_generations, resume_line, search_by_cmaes
 from labrun.spec import (
@@ -281,12 +281,11 @@ def _handed_on(
         written.append(("sheet", run / "dimensions.csv"))
         drawing = drawing_of(design_table, values)
         if drawing is not None:
-            from labrun.report.figures.design import draw_design  # matplotlib
-            from labrun.report.style import as_svg, save
+            from labrun.report import as_svg, draw_design, save_figure  # matplotlib
 
             figure = draw_design(drawing, experiment.units, experiment.title)
             replace_durably(run / "drawing.svg", as_svg(figure))
-            save(draw_design(drawing, experiment.units, experiment.title), run / "drawing.png")
+            save_figure(draw_design(drawing, experiment.units, experiment.title), run / "drawing.png")
             written.append(("drawing", run / "drawing.svg"))
         replace_durably(run / "model.toml", model_text(simulator, values, run=str(run)).encode())
         written.append(("model", run / "model.toml"))

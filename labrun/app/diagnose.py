@@ -16,7 +16,7 @@ from labrun.fit import Note, silent
 from labrun.gap import Diagnosis, Options, diagnose_dataset, recalibrated_only, require_new, save_with_law
 from labrun.gap import save_model as write_model
 from labrun.notebook import as_html
-from labrun.report.gap_text import gap_lines
+from labrun.report import gap_lines
 from labrun.store import find_data, find_run, require_writable
 from labrun.workers import cores
 
@@ -215,8 +215,7 @@ def store(
 
     def drawn() -> tuple[str, Any]:
         # matplotlib
-        from labrun.report.figures.gap import diagnosis_figure
-        from labrun.report.gap_page import diagnosis_page
+        from labrun.report import diagnosis_figure, diagnosis_page
 
         return diagnosis_page(diagnosis), diagnosis_figure(diagnosis)
 

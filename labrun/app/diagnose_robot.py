@@ -13,7 +13,7 @@ from labrun.fit import Dataset, Note, silent
 from labrun.gap import Options, RobotDiagnosis, diagnose_robot, require_new, why_not
 from labrun.gap import save_model as write_model
 from labrun.models import Robot, read_robot, with_grip_held
-from labrun.report.robot import robot_lines
+from labrun.report import robot_lines
 from labrun.store import find_data, require_writable
 from labrun.workers import cores
 
@@ -111,7 +111,7 @@ def diagnose_joints(
 
     def drawn() -> tuple[str, Any]:
         # matplotlib
-        from labrun.report.robot import robot_figure, robot_page
+        from labrun.report import robot_figure, robot_page
 
         return robot_page(found), robot_figure(found)
 

@@ -14,8 +14,7 @@ from labrun.app.question import declared_plan, fit_plan, named_model
 from labrun.errors import RequestError
 from labrun.fit import GROUP, FitJob, FitPlan, FitSummary, Note, is_method, make_method, silent
 from labrun.models import load_model, shipped_models
-from labrun.report.figures.fits import fit_figure
-from labrun.report.style import save
+from labrun.report import fit_figure, save_figure
 from labrun.spec import apply_overrides, find_model_file, load_named
 from labrun.store import find_data, is_recording, replace_durably, require_writable
 from labrun.toml import nearest
@@ -104,7 +103,7 @@ def fit(
         replace_durably(kept / name, content.encode() if isinstance(content, str) else content)
     drawn = fit_figure(result)
     if drawn is not None:
-        result = replace(result, figure=save(drawn, kept / f"{stem}.png"))
+        result = replace(result, figure=save_figure(drawn, kept / f"{stem}.png"))
     numbers = {
         **result.to_json(),
         "model": result.model_name,

@@ -40,10 +40,10 @@ def keep(
         if drawn is None:
             return folder / NUMBERS, None, None
         # matplotlib
-        from labrun.report.style import save
+        from labrun.report import save_figure
 
         page, figure = drawn()
-        picture = save(figure, folder / _FIGURE)
+        picture = save_figure(figure, folder / _FIGURE)
         replace_durably(folder / PAGE, page.encode())
     except OSError as error:
         raise StoreError(f"{folder} cannot be written to: {error.strerror}") from error

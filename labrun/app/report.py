@@ -65,11 +65,11 @@ def write_report(findings: Findings, output: Path | None = None) -> Path:
         The stored experiment file does not hold.
     """
     path = output if output is not None else _beside(findings)
-    from labrun.report.run_page import run_page  # matplotlib
+    from labrun.report import report_page  # matplotlib
 
     with _writing(path):  # before anything is computed
         path.parent.mkdir(parents=True, exist_ok=True)
-    text = run_page(findings)
+    text = report_page(findings)
     with _writing(path):
         replace_durably(path, text.encode())
     return path

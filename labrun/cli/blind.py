@@ -51,7 +51,7 @@ def check(
         return
     with reported(as_json):
         from labrun.blind import check as check_cases
-        from labrun.report.diagnosis_check import check_text, write_check_page
+        from labrun.report import check_text, write_check_page
 
         with status() as note:
             result = check_cases(
@@ -102,7 +102,7 @@ def reveal(
     """
     with reported(as_json):
         from labrun.app.diagnose import reveal as open_seal
-        from labrun.report.gap_text import compared_text
+        from labrun.report import compared_text
 
         compared = open_seal(target, results=results)
         print_result(compared, as_json, compared_text)

@@ -140,7 +140,7 @@ def rank(
     """
     with reported(as_json, "interrupted; no ranking was written"):
         from labrun.app.rank import rank as rank_gaits
-        from labrun.report.comparison import ranking_text
+        from labrun.report import ranking_text
 
         found = rank_gaits(laboratories, field, objective=objective, results=results)
         print_result(found, as_json, ranking_text)

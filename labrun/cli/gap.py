@@ -249,7 +249,7 @@ def test(
     """
     with reported(as_json):
         from labrun.app.predict_fresh import predict_fresh
-        from labrun.report.gap_text import fresh_text
+        from labrun.report import fresh_text
 
         horizons_s = _numbers(horizon, "--horizon")
         with status() as note:
@@ -276,7 +276,7 @@ def compare(
     """
     with reported(as_json):
         from labrun.app.compare_units import compare_units
-        from labrun.report.gap_text import units_text
+        from labrun.report import units_text
 
         with status() as note:
             found = compare_units(
@@ -319,14 +319,14 @@ def plan(
     """
     with reported(as_json, "interrupted; no experiment was written"):
         from labrun.app.next import plan_trials
-        from labrun.report.gap_text import plan_text
+        from labrun.report import trial_plan_text
 
         with status() as note:
             found = plan_trials(
                 model, rig, noise=_sizes(noise or ()), repeats=repeats, out=out, seed=seed, workers=workers,
                 note=note,
             )  # fmt: skip
-        print_result(found, as_json, plan_text)
+        print_result(found, as_json, trial_plan_text)
 
 
 def export(

@@ -280,7 +280,7 @@ def _relative(one: UnitDifference) -> str:
     return f"{percent(low)} to {percent(high)}"
 
 
-def plan_text(found: TrialPlan) -> str:
+def trial_plan_text(found: TrialPlan) -> str:
     """Return the trials, then a line for every effect."""
     seen = [one for one in found.visible if one.size is not None]
     lines = [

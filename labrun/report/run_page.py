@@ -63,7 +63,7 @@ _TOLD_APART = frozenset(
 _LINKS = {"result": "figure", "rejected": "rejected trials"}
 
 
-def run_page(findings: Findings) -> str:
+def report_page(findings: Findings) -> str:
     """Return the page of a run; the same run gives the same text, byte for byte."""
     return render("run.html.j2", run_context(findings))
 

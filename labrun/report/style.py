@@ -96,7 +96,7 @@ def as_png(figure: Figure) -> bytes:
     return _written(figure, "png", {"Software": None})
 
 
-def save(figure: Figure, path: Path) -> Path:
+def save_figure(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG; whole or not at all."""
     temporary = path.with_name(f".{path.name}.partial")
     temporary.write_bytes(as_png(figure))

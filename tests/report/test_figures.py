@@ -10,7 +10,7 @@ from labrun.report.data import RunView
 from labrun.report.figures.runs import cycles_of, draw_plain_run, draw_traces, folded_cycle
 from labrun.report.figures.search import draw_search
 from labrun.report.figures.sweep import Axis, axes_of, best_over_others, draw_sweep, map_colours, most_telling
-from labrun.report.style import DIVERGING, SEQUENTIAL, save
+from labrun.report.style import DIVERGING, SEQUENTIAL, save_figure
 
 GRID = {"from": 0, "to": 10, "step": 2.5}
 
@@ -74,7 +74,7 @@ def test_trials_share_an_axis_of_time_unless_one_is_much_longer_which_is_drawn_o
 
 
 def test_a_picture_is_whole_or_absent(tmp_path):
-    save(draw_sweep(sweep_view(ridge, {"f": GRID})), tmp_path / "figure.png")
+    save_figure(draw_sweep(sweep_view(ridge, {"f": GRID})), tmp_path / "figure.png")
     assert [path.name for path in tmp_path.iterdir()] == ["figure.png"]
 
 

@@ -7,7 +7,7 @@ from labrun.app.carry_out import draw
 from labrun.app.report import read_findings
 from labrun.report.data import RunView, experiment_of
 from labrun.report.figures.track import turned_deg
-from labrun.report.run_page import run_page
+from labrun.report.run_page import report_page
 from labrun.report.timing import LoopHealth, loop_health, loop_words
 from labrun.store import open_run
 
@@ -31,7 +31,7 @@ def test_the_loop_s_time_is_told_from_what_it_recorded(tracked):
 def test_show_and_report_tell_the_same_of_it(tracked):
     with open_run(tracked) as stored:
         found = read_findings(stored)
-        text = run_page(found)
+        text = report_page(found)
     assert found.loop is not None
     assert loop_words(found.loop) in text.replace("\u00a0", " ")
 

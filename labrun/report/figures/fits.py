@@ -35,8 +35,8 @@ _SCALED_UNITS = ("rad", "m", "V", "N", "N m", "A", "s", "m/s", "rad/s")
 def fit_figure(result: FitSummary) -> Figure | None:
     """Return the figure of a fit; None if it has nothing to show."""
     if isinstance(result, FitResult):
-        return drawn(overlays(result))
-    return None if result.figure_data is None else drawn(result.figure_data())
+        return draw_figure(overlays(result))
+    return None if result.figure_data is None else draw_figure(result.figure_data())
 
 
 def overlays(result: FitResult) -> FigureData:
@@ -67,7 +67,7 @@ def shown_trials(misfit: FloatArray, most: int = _SHOWN) -> tuple[list[int], dic
     return sorted(ranked), marks
 
 
-def drawn(described: FigureData) -> Figure:
+def draw_figure(described: FigureData) -> Figure:
     """Draw panels of curves in the report's style.
 
     Every stack has a cell of its own with fixed margins: a layout that measures every label takes as long as all the

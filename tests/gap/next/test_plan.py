@@ -5,7 +5,7 @@ import pytest
 from labrun.app.check import check
 from labrun.app.next import plan_trials
 from labrun.errors import RequestError, StoreError
-from labrun.report.gap_text import plan_text
+from labrun.report.gap_text import trial_plan_text
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_the_experiment_that_is_written_stays_inside_the_limits(plan):
 
 
 def test_the_words_name_trials_sizes_and_what_is_hidden(plan):
-    text = plan_text(plan)
+    text = trial_plan_text(plan)
     assert "not visible in any of them" in text
     assert "Coulomb friction at hinge" in text
     assert f"labrun run {plan.file}" in text

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from swings import dataset_of, swing
 
 from labrun.fit import Curve, FigureData, FitResult, FittedData, Panel, Stack
-from labrun.report.figures.fits import drawn, fit_figure, shown_trials
+from labrun.report.figures.fits import draw_figure, fit_figure, shown_trials
 
 
 def everything_is_on_the_page(figure: Figure) -> None:
@@ -73,7 +73,7 @@ def test_what_a_fit_describes_as_data_is_drawn_with_nothing_cut() -> None:
         (Stack((upper, Panel((curves[0],), note="RMS 1 N", x_label="time, s", zero=True))),),
         (Stack((Panel((bars,), ticks=("a long name", "another name", "+a^3,b^3\ncond 3e+09")),)),),
     )
-    figure = drawn(FigureData("A fit\nof something", rows))
+    figure = draw_figure(FigureData("A fit\nof something", rows))
     assert len(figure.axes) == 3
     assert [len(axes.lines) for axes in figure.axes[:2]] != [0, 0]
     everything_is_on_the_page(figure)
@@ -83,7 +83,7 @@ def test_a_legend_of_many_entries_takes_more_lines_and_stays_within_the_figure()
     names = [f"activation {number}, lbfgs" for number in range(9)]
     x = np.arange(3.0)
     panel = Panel(tuple(Curve(x, x + number, number, name) for number, name in enumerate(names)))
-    figure = drawn(FigureData("many", ((Stack((panel,)),),), legend="top", row_height_in=3.0))
+    figure = draw_figure(FigureData("many", ((Stack((panel,)),),), legend="top", row_height_in=3.0))
     (legend,) = figure.legends
     figure.draw_without_rendering()
     around = legend.get_window_extent()
@@ -95,7 +95,7 @@ def test_a_legend_of_many_entries_takes_more_lines_and_stays_within_the_figure()
 def test_a_logarithmic_axis_within_a_decade_has_numbers() -> None:
     x = np.array([1.0, 10.0, 100.0])
     panel = Panel((Curve(x, np.array([1.7, 3.0, 4.4])),), log="xy")
-    figure = drawn(FigureData("narrow", ((Stack((panel,)),),), row_height_in=3.0))
+    figure = draw_figure(FigureData("narrow", ((Stack((panel,)),),), row_height_in=3.0))
     figure.draw_without_rendering()
     axes = figure.axes[0]
     written = {tick.get_text() for tick in axes.yaxis.get_ticklabels(which="both")} - {""}
