@@ -2,7 +2,9 @@
 
 import base64
 from html import escape
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 
 def as_html(told: str, figure: Path | None = None) -> str:
@@ -17,3 +19,11 @@ def as_html(told: str, figure: Path | None = None) -> str:
             f'<img src="data:image/png;base64,{data}" alt="figure of the result" style="max-width: 100%">'
         )
     return f"<div>{picture}<pre>{escape(told)}</pre></div>"
+
+
+def as_reported(words: str, *result: Any) -> str:
+    """Return what a notebook shows of a result whose words stand in `labrun.report`.
+
+    `words`: the function there that makes them, looked up only when a notebook asks: results stand below the report.
+    """
+    return as_html(getattr(import_module("labrun.report"), words)(*result))

@@ -18,8 +18,8 @@ def doctor(
     *,
     hardware: bool = False,
     emulate: bool = False,
-) -> Iterator[Remark]:
-    """Yield what is found, as it is found. Nothing is moved.
+) -> tuple[Remark, ...]:
+    """Look at the machine, or at devices, and return what is found. Nothing is moved.
 
     Parameters
     ----------
@@ -39,6 +39,18 @@ def doctor(
     RigBusyError
         A run holds the devices.
     """
+    return tuple(examine(experiment, workspace, overrides, hardware=hardware, emulate=emulate))
+
+
+def examine(
+    experiment: str | None,
+    workspace: str | Path,
+    overrides: Sequence[str],
+    *,
+    hardware: bool,
+    emulate: bool,
+) -> Iterator[Remark]:
+    """Yield what `doctor` returns, as it is found: a bench answers slowly, and a person watches."""
     if (experiment is not None or emulate) and not hardware:
         raise RequestError(
             "an experiment and --emulate are for looking at devices", hint="add --hardware: nothing is moved"

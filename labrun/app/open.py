@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labrun.errors import RecordingError
+from labrun.notebook import as_html
 from labrun.spec import condition_text
 from labrun.store import SPEC, Run, open_target, run_dataset, trial_dataset, trials_frame
 
@@ -148,6 +149,9 @@ class OpenRun:
 
     def __len__(self) -> int:
         return len(self._run.outcomes)
+
+    def _repr_html_(self) -> str:
+        return as_html(repr(self))
 
     def __repr__(self) -> str:
         statuses = [outcome.status for outcome in self._run.outcomes]

@@ -153,7 +153,7 @@ def doctor(
     Example:  labrun doctor --hardware fin-params
     """
     with reported(as_json):
-        from labrun.app.doctor import doctor as examine
+        from labrun.app.doctor import examine
         from labrun.report import remark_text
 
         remarks = examine(experiment, Path.cwd(), overrides or (), hardware=hardware, emulate=emulate)

@@ -20,6 +20,7 @@ from labrun.gap.screening import Base, Survey, refit, rough, survey
 from labrun.gap.unit_pair import BOTH, FIRST, SECOND, UNIT, UnitPair, both_units
 from labrun.gap.unit_scatter import FEWEST_PIECES, kept_unseen, scatter_of_trials
 from labrun.models import Model
+from labrun.notebook import as_reported
 
 _FITTED = 4
 """Candidates that are fitted in each round, the most promising ones."""
@@ -81,6 +82,9 @@ class UnitComparison:
     def differing(self) -> tuple[UnitDifference, ...]:
         """What differs beyond noise."""
         return tuple(one for one in self.differences if one.verdict == "differs")
+
+    def _repr_html_(self) -> str:
+        return as_reported("units_text", self)
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap compare --json`` prints."""

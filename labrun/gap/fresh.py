@@ -22,6 +22,7 @@ from labrun.fit import (
 from labrun.gap.diagnosis import ResampledNumber
 from labrun.gap.recalibration import stated
 from labrun.models import Model
+from labrun.notebook import as_reported
 
 HORIZONS_S = (0.1, 0.5, 2.0)
 _STARTS = 40
@@ -71,6 +72,9 @@ class FreshTest:
     warm_up_samples: int
     predictions: tuple[Prediction, ...]
     notes: tuple[str, ...]
+
+    def _repr_html_(self) -> str:
+        return as_reported("fresh_text", self)
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap test --json`` prints."""

@@ -4,6 +4,7 @@ import inspect
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from labrun.devices import Excess, FloatArray, Limits
 from labrun.devices.clock import SimulatedClock
 from labrun.errors import LabrunError, PlanError, SpecError, StoreError
+from labrun.notebook import as_reported
 from labrun.runner.motion import Envelope, MotionMaker, TrialMotion, loop_notes, smooth_move
 from labrun.runner.rig import Rig
 from labrun.runner.settle import settle_estimate_s, watched_channels
@@ -199,6 +201,9 @@ class Plan:
     space: SearchSpace | None = None
     notes: tuple[str, ...] = ()
     advice: str = _ADVICE
+
+    def _repr_html_(self) -> str:
+        return as_reported("plan_text", self, Path("results"))
 
     def require_feasible(self) -> None:
         """Raise PlanError if any condition leaves a limit: the first few, and how many there are."""

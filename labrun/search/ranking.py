@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.notebook import as_reported
 from labrun.search.leaders import t_interval
 from labrun.spec import Condition
 
@@ -106,6 +107,9 @@ class Ranking:
     columns: tuple[FieldColumn, ...]
     winner: int | None
     notes: tuple[str, ...]
+
+    def _repr_html_(self) -> str:
+        return as_reported("ranking_text", self)
 
     def name(self, place: int) -> str:
         """Return what a gait is called."""

@@ -19,6 +19,7 @@ from labrun.gap.next.imitation import Change, Imitation, greedy
 from labrun.gap.next.run_bench import RunBench
 from labrun.gap.next.trials import PlannedTrial, evenly, planned_data
 from labrun.models import Model, simulate
+from labrun.notebook import as_reported
 from labrun.store import SignalInfo
 
 NOISE_SHARE = 0.01
@@ -83,6 +84,9 @@ class TrialPlan:
     noise: Mapping[str, ResampledNumber]
     looked_at: int
     notes: tuple[str, ...]
+
+    def _repr_html_(self) -> str:
+        return as_reported("trial_plan_text", self)
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap plan --json`` prints."""

@@ -27,6 +27,7 @@ from labrun.gap.next.separation import (
 )
 from labrun.gap.next.trials import PlannedTrial, free_place
 from labrun.gap.pipeline import Search, search_causes
+from labrun.notebook import as_html
 from labrun.store import imported_channels, open_run, require_writable
 
 Outcome = Literal["separates", "helps", "cannot"]
@@ -112,6 +113,9 @@ class Proposal:
             "notes": list(self.notes),
             "commands": list(self.commands),
         }
+
+    def _repr_html_(self) -> str:
+        return as_html(self.to_text())
 
     def to_text(self) -> str:
         """Return what a person reads."""
