@@ -91,16 +91,19 @@ def require_writable(folder: Path, what: str) -> None:
     what
         What is to be written there, for example ``"the fit"``.
     """
-    existing = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
-    with saving(what, folder, "nothing was computed"), tempfile.TemporaryFile(dir=existing):
+    with saving(what, folder, "nothing was computed"), tempfile.TemporaryFile(dir=_existing(folder)):
         pass
+
+
+def _existing(folder: Path) -> Path:
+    """Return a folder, or the nearest one above it that exists: on its disk the folder will be made."""
+    return next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
 
 
 def lacking_room(folder: Path, needed: float) -> str | None:
     """Return why so many bytes do not fit on the disk of a folder, as a sentence; None if they do."""
-    existing = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
     try:
-        free = shutil.disk_usage(existing).free
+        free = shutil.disk_usage(_existing(folder)).free
     except OSError:
         return None
     if needed <= free:
@@ -141,7 +144,7 @@ def saving(what: str, where: Path, saved: str = "what was stored before is untou
             )
             hint = f"free some space (or move {where} to a larger disk), then labrun resume {where}"
         try:
-            free = in_bytes(shutil.disk_usage(where).free)
+            free = in_bytes(shutil.disk_usage(_existing(where)).free)
         except OSError:
             free = "an unknown amount"
         message = f"{what} could not be written to {where}: {cause}; {free} free on this disk; {saved}"
