@@ -15,7 +15,7 @@ from labrun.gap.candidates import Candidate, candidates, site_scales
 from labrun.gap.diagnosis import Name, ResampledNumber
 from labrun.gap.intervals import effect_units
 from labrun.gap.noise import from_reading_errors, from_repeats, from_residual
-from labrun.gap.recalibration import in_units_of, member_residuals, stated_problem
+from labrun.gap.recalibration import as_stated, in_units_of, member_residuals, stated_problem
 from labrun.gap.screening import Base, Survey, refit, rough, survey
 from labrun.gap.unit_pair import BOTH, FIRST, SECOND, UNIT, UnitPair, both_units
 from labrun.gap.unit_scatter import FEWEST_PIECES, kept_unseen, scatter_of_trials
@@ -242,8 +242,7 @@ def _common(model: Model, data: Dataset, rng: np.random.Generator, note: Note) -
     ]
     if len(fitted) < len(model.effects):  # sizes that nothing shows stay as they are, and the model with them
         bare, fitted = model, []
-    whole = stated_problem(bare, data)
-    problem: UnitPair = UnitPair(**{name: getattr(whole, name) for name in whole.__dataclass_fields__})
+    problem = as_stated(UnitPair.of(bare, data))
     if fitted:
         problem = problem.with_effects([one for one, _ in fitted], [scale for _, scale in fitted])
     problem = replace(problem, only=("",) * len(fitted)).refined(problem.begin())

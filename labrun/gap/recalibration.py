@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from labrun.gap.noise_threshold import independent_share
 from labrun.gap.screening import refit
 from labrun.gap.trial_wise import begun_elsewhere, found_in_repeats
 from labrun.models import Model
+
+Held = TypeVar("Held", bound=Problem)
 
 
 @dataclass(frozen=True)
@@ -124,7 +127,11 @@ def stated_problem(model: Model, data: Dataset) -> Problem:
 
     A state that begins at the "first" samples is free, held by what noise they have.
     """
-    problem = Problem.of(model, data)
+    return as_stated(Problem.of(model, data))
+
+
+def as_stated(problem: Held) -> Held:
+    """Return a problem of any kind as `stated_problem` holds one."""
     return replace(problem, priors=problem.priors.within(criteria.WITHIN_TOLERANCES), read_free=True)
 
 

@@ -12,7 +12,7 @@ from labrun.gap import criteria
 from labrun.gap.diagnosis import MissingForce
 from labrun.gap.where.difference import Difference, force_unit, load_unit
 from labrun.gap.where.periods import find_cycle
-from labrun.gap.where.significance import Absorbed
+from labrun.gap.where.significance import NuisanceSubspace
 from labrun.models import Pointer, Simulation, Site, SiteKind, simulate, site_course
 
 _RIDGE = 1e-6
@@ -227,7 +227,7 @@ class _Search:
     def __init__(self, difference: Difference, site: Site) -> None:
         self._difference = difference
         self._site = site
-        self._absorbed = Absorbed(difference)
+        self._nuisance = NuisanceSubspace(difference)
         self.knots = _knots(difference)
         self._expected = 0.0
         self._before = self._left(list(difference.residual))
@@ -254,7 +254,7 @@ class _Search:
     def share(self, course: _Course) -> float:
         """Return the part of the excess that a course explains, less what it takes out of the noise."""
         told = self._difference.noise.known
-        count = sum(one.size for one in self._difference.residual) - self._absorbed.rank
+        count = sum(one.size for one in self._difference.residual) - self._nuisance.rank
         excess = self._before - (count if told else 0.0)
         if excess <= 0:
             return 0.0
@@ -262,8 +262,8 @@ class _Search:
         return float(np.clip(1.0 - left / excess, 0.0, 1.0))
 
     def _left(self, residual: Sequence[FloatArray]) -> float:
-        white = self._absorbed.white([one / self._difference.noise_sd for one in residual])
-        along = self._absorbed.span.T @ white
+        white = self._nuisance.white([one / self._difference.noise_sd for one in residual])
+        along = self._nuisance.span.T @ white
         return float(white @ white - along @ along)
 
     def _step(self, course: _Course, size: float) -> tuple[float, list[FloatArray]]:
@@ -282,7 +282,7 @@ class _Search:
             blocks.append(block)
             residual = self._difference.residual[index] + self._difference.simulated[index] - base
             changes.append(self._white(residual, index) + block @ forces)
-        values, span = np.concatenate(changes), self._absorbed.span
+        values, span = np.concatenate(changes), self._nuisance.span
         result = smooth(blocks, values, span)
         self._expected = result.expected
         rest = values - np.concatenate([b @ c for b, c in zip(blocks, result.coefficients, strict=True)])

@@ -27,8 +27,8 @@ class _Basis:
     plain: FloatArray
 
 
-class Absorbed:
-    """Least-squares recalibration, linearised, with the weights it was done with (white noise of each unit's mean).
+class NuisanceSubspace:
+    """What recalibration can imitate: its least squares, linearised, in its own weights (white noise of a unit's mean).
 
     Initial states change one unit each: they are taken out unit by unit, and what all units share after that.
 
@@ -237,13 +237,13 @@ def _null(
 
 def redrawn(difference: Difference, rng: np.random.Generator, draws: int) -> Iterator[list[FloatArray]]:
     """Yield noise of every unit's mean, (n, m) in units of one trial's noise, less what recalibration takes out."""
-    absorbed = Absorbed(difference)
+    nuisance = NuisanceSubspace(difference)
     sd = difference.noise.sd
     known = _freedom(difference, rng) if draws else sd
     for _ in range(draws):
         # the noise was estimated from few repeats, and may be larger than the estimate
         size = np.sqrt(known / rng.chisquare(known)) / sd
-        yield absorbed.left(
+        yield nuisance.left(
             [one * size for one in difference.noise.draw(difference.units, rng, cautious=True)]
         )
 

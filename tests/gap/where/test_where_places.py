@@ -155,15 +155,15 @@ def test_the_same_seed_gives_the_same_places():
 
 def test_what_recalibration_takes_out_of_noise_is_not_expected_back():
     """With as many free directions as numbers nothing can be left, and noise must not be expected to leave anything."""
-    from labrun.gap.where.significance import Absorbed
+    from labrun.gap.where.significance import NuisanceSubspace
 
     difference = made(np.random.default_rng(14), frequencies=(1.0,), seconds=0.5, rate_hz=40.0)
     size = difference.residual[0].size
-    everything = Absorbed(replace(difference, jacobian=np.eye(size)))
+    everything = NuisanceSubspace(replace(difference, jacobian=np.eye(size)))
     noise = [np.random.default_rng(0).standard_normal(difference.residual[0].shape)]
     assert everything.rank == size
     assert np.max(np.abs(everything.left(noise)[0])) < 1e-9
-    some = Absorbed(difference)
+    some = NuisanceSubspace(difference)
     once = some.left(noise)
     assert some.rank == 3
     assert np.allclose(some.left(once)[0], once[0])
