@@ -38,7 +38,7 @@ class CheckFolder:
 
     @property
     def made(self) -> bool:
-        """Whether the cases are there."""
+        """Tell whether the cases are there."""
         return (self.path / _SEAL).is_file()
 
     def ask(self, asked: Mapping[str, Any]) -> str:
@@ -243,7 +243,7 @@ class _Seal:
 
     @property
     def holds_together(self) -> bool:
-        """Whether the hash over all is that of the hashes of the cases."""
+        """Tell whether the hash over all is that of the hashes of the cases."""
         listed = "".join(f"{name}:{self.cases[name]}\n" for name in sorted(self.cases))
         return hashlib.sha256(listed.encode()).hexdigest() == self.over_all
 

@@ -51,12 +51,12 @@ class Checked:
 
     @property
     def development(self) -> bool:
-        """Whether the seed is one that the diagnosis may have been tuned on."""
+        """Tell whether the seed is one that the diagnosis may have been tuned on."""
         return self.seed < FIRST_REPORTED_SEED
 
     @property
     def mixed(self) -> bool:
-        """Whether there is more than one kind of case."""
+        """Tell whether there is more than one kind of case."""
         return len(self.scores.kinds) > 1
 
     @property

@@ -234,7 +234,7 @@ class Judged:
 
     @property
     def good(self) -> bool:
-        """Whether it came out as one would wish, with no effect announced beyond those that are there."""
+        """Tell whether it came out as one would wish, with no effect announced beyond those that are there."""
         return self.outcome in GOOD and not self.extra
 
 

@@ -265,7 +265,7 @@ class Compared:
 
     @property
     def sizes(self) -> list[str]:
-        """Whether the hidden values of what was named lie inside the intervals that were stated."""
+        """Tell whether the hidden values of what was named lie inside the intervals that were stated."""
         found = []
         for one in self.revealed.hidden:
             for cause in self.stored.get("causes", []):

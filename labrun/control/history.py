@@ -116,7 +116,7 @@ class History:
 
     @property
     def complete(self) -> bool:
-        """Whether every channel has a sample."""
+        """Tell whether every channel has a sample."""
         return all(np.isfinite(track.last_s) for track in self._tracks.values())
 
     def newest_s(self, channels: Sequence[str]) -> float:

@@ -37,7 +37,7 @@ class Margin:
 
     @property
     def active(self) -> bool:
-        """Whether the design stands at it."""
+        """Tell whether the design stands at it."""
         if self.value is None or self.bound is None:
             return False
         return abs(self.value - self.bound) <= _ACTIVE * max(abs(self.value), abs(self.bound), self.span)

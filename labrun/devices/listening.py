@@ -221,7 +221,7 @@ class Listener:
 
     @property
     def running(self) -> bool:
-        """Whether the thread is alive."""
+        """Tell whether the thread is alive."""
         return self._thread is not None and self._thread.is_alive()
 
     def start(self) -> None:
@@ -291,7 +291,7 @@ class ListeningSensor:
 
     @property
     def streams(self) -> bool:
-        """Whether it was started."""
+        """Tell whether it was started."""
         return self._listener is not None
 
     def read(self) -> Samples:

@@ -78,7 +78,7 @@ class CommandStream:
 
     @property
     def running(self) -> bool:
-        """Whether the thread is alive, and not about to end once its last set-point is through."""
+        """Tell whether the thread is alive, and not about to end once its last set-point is through."""
         return self._thread is not None and self._thread.is_alive() and not self._ending.is_set()
 
     @property

@@ -39,7 +39,7 @@ class SerialPort:
 
     @property
     def is_open(self) -> bool:
-        """Whether it is open."""
+        """Tell whether it is open."""
         return self.serial is not None
 
     def open(self) -> None:

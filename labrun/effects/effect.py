@@ -186,7 +186,7 @@ class EffectParameter:
 
     @property
     def shape(self) -> bool:
-        """Whether it is held, but may be fitted after all."""
+        """Tell whether it is held, but may be fitted after all."""
         return self.held and len(self.starts) > 1
 
     def bounds(self, scale: Scale) -> tuple[float, float]:
@@ -268,7 +268,7 @@ class Effect:
 
     @property
     def periodic(self) -> bool:
-        """Whether it comes back along the coordinate: `periods`, with the sizes of its `sine` and its `cosine`."""
+        """Tell whether it comes back along the coordinate: `periods`, with the sizes of its `sine` and its `cosine`."""
         return {"periods", "sine", "cosine"} == {one.name for one in self.parameters}
 
     def fits(self, site: Site, scale: Scale | None = None) -> bool:

@@ -140,7 +140,7 @@ class _Try:
 
     @property
     def common(self) -> bool:
-        """Whether it is no difference, but something that both units have and the model lacks."""
+        """Tell whether it is no difference, but something that both units have and the model lacks."""
         return self.candidate is not None and self.candidate.unit == BOTH
 
     @property

@@ -43,7 +43,7 @@ class Scaling:
 
     @property
     def sound(self) -> bool:
-        """Whether all its numbers are finite, and every scale above 0."""
+        """Tell whether all its numbers are finite, and every scale above 0."""
         return bool(np.isfinite(self.mean).all() and np.isfinite(self.scale).all() and (self.scale > 0).all())
 
 
@@ -72,7 +72,7 @@ class Network:
 
     @property
     def finite(self) -> bool:
-        """Whether all its numbers are."""
+        """Tell whether all its numbers are."""
         return all(bool(np.isfinite(one).all()) for one in (*self.weights, *self.biases))
 
     def __call__(self, values: FloatArray) -> FloatArray:

@@ -57,7 +57,7 @@ class Wanted:
 
     @property
     def goal(self) -> bool:
-        """Whether it is a goal, which stands until the next one."""
+        """Tell whether it is a goal, which stands until the next one."""
         return self.kind == "input" and self.roles[0] in ("command", "velocity-command")
 
 

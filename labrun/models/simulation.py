@@ -398,7 +398,7 @@ class Stepper:
 
     @property
     def finite(self) -> bool:
-        """Whether the state is still finite: False after the model blew up."""
+        """Tell whether the state is still finite: False after the model blew up."""
         # Not a number, once there, stays one in a sum; an infinity as well, or becomes not a number.
         return math.isfinite(float(self._all.sum())) or bool(np.isfinite(self._all).all())
 

@@ -138,22 +138,22 @@ class Findings(RunView):
 
     @property
     def imported(self) -> bool:
-        """Whether the trials were recorded elsewhere."""
+        """Tell whether the trials were recorded elsewhere."""
         return "imported_from" in self.run.provenance
 
     @property
     def dry_run(self) -> bool:
-        """Whether the bench was simulated."""
+        """Tell whether the bench was simulated."""
         return bool(self.run.provenance.get("dry_run"))
 
     @property
     def emulated(self) -> bool:
-        """Whether emulators stood behind the drivers."""
+        """Tell whether emulators stood behind the drivers."""
         return bool(self.run.provenance.get("emulated"))
 
     @property
     def simulated_only(self) -> bool:
-        """Whether it is a design: nothing of it was measured, and what speaks of a bench does not apply."""
+        """Tell whether it is a design: nothing of it was measured, and what speaks of a bench does not apply."""
         return self.experiment.kind == "design"
 
     @property
@@ -266,7 +266,7 @@ class Findings(RunView):
 
     @cached_property
     def clock_restarted(self) -> bool:
-        """Whether the run's clock began anew in its course, as after a restart of the machine."""
+        """Tell whether the run's clock began anew in its course, as after a restart of the machine."""
         starts = [outcome.started_s for outcome in self.run.outcomes]
         return not self.imported and any(later < earlier for earlier, later in pairwise(starts))
 

@@ -55,7 +55,7 @@ class Drift:
 
     @property
     def visible(self) -> bool:
-        """Whether the interval excludes zero."""
+        """Tell whether the interval excludes zero."""
         return not self.ci95[0] <= 0.0 <= self.ci95[1]
 
 

@@ -276,7 +276,7 @@ class Session:
         self._damage.forget(mounting)
 
     def _may_correct(self, index: int) -> bool:
-        """Return whether a stored trial's values may change: what comes next must not follow from those of before."""
+        """Tell whether a stored trial's values may change: what comes next must not follow from those of before."""
         return (
             self._decided <= index < len(self.outcomes)
             and self.outcomes[index].status == "done"

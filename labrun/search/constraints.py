@@ -147,7 +147,7 @@ class Violations:
 
     @property
     def feasible(self) -> bool:
-        """Whether the candidate may run."""
+        """Tell whether the candidate may run."""
         return self.number == 0
 
 

@@ -53,7 +53,7 @@ class Agreement:
 
     @property
     def carries_over(self) -> bool:
-        """Whether the interval of tau lies above zero: the order of one side says something about the other's."""
+        """Tell whether the interval of tau lies above zero: the order of one side says something about the other's."""
         return self.tau_ci95[0] > 0.0
 
 

@@ -219,7 +219,7 @@ def winner_lines(winners: Sequence[Best], levels: Sequence[Mapping[str, Value]])
 
 
 def apart_text(winners: Sequence[Best], levels: Sequence[Mapping[str, Value]]) -> str:
-    """Return whether the best of the winners of several levels stands apart from all others."""
+    """Tell whether the best of the winners of several levels stands apart from all others."""
     names = list(dict.fromkeys(name for level in levels for name in level))
     first, *others = winners
     at = condition_text({name: first.parameters[name] for name in names})

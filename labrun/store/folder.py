@@ -85,7 +85,7 @@ class RunFolder:
 
     @property
     def _durable(self) -> bool:
-        """Whether trials and events are synced: a dry run need not survive a power cut."""
+        """Tell whether trials and events are synced: a dry run need not survive a power cut."""
         return self.journal.durable
 
     @classmethod

@@ -91,7 +91,7 @@ class RunWatch:
 
     @property
     def is_silent(self) -> bool:
-        """Whether nothing came for longer than the run has ever paused."""
+        """Tell whether nothing came for longer than the run has ever paused."""
         return self.quiet_s > max(_LEAST_SILENCE_S, _SILENCE * self._longest_pause_s)
 
     @property

@@ -83,12 +83,12 @@ class Expression:
 
     @property
     def is_name(self) -> bool:
-        """Whether it is one bare name."""
+        """Tell whether it is one bare name."""
         return isinstance(self.tree, ast.Name)
 
     @property
     def is_comparison(self) -> bool:
-        """Whether it says yes or no: comparisons, alone or joined by ``and``, ``or``, ``not``."""
+        """Tell whether it says yes or no: comparisons, alone or joined by ``and``, ``or``, ``not``."""
         return _is_comparison(self.tree)
 
     def __call__(self, names: Mapping[str, Operand]) -> float | Array:

@@ -337,7 +337,7 @@ class RealTimeLoop:
 
     @property
     def running(self) -> bool:
-        """Whether it has not ended yet."""
+        """Tell whether it has not ended yet."""
         return self._thread is not None and self._thread.is_alive()
 
     @property

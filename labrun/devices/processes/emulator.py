@@ -39,7 +39,7 @@ class _Orders:
 
     @property
     def waiting(self) -> bool:
-        """Whether orders came along with the first one."""
+        """Tell whether orders came along with the first one."""
         return bool(self._kept)
 
     def take(self) -> list[dict[str, Any]]:

@@ -196,12 +196,12 @@ class Evidence:
 
     @property
     def told_apart(self) -> bool:
-        """Whether a diagnosis is expected to decide between the two."""
+        """Tell whether a diagnosis is expected to decide between the two."""
         return self.ratio >= criteria.TOLD_APART
 
     @property
     def by_simplicity(self) -> bool:
-        """Whether the rival would explain it as well, and is dropped for having more parameters."""
+        """Tell whether the rival would explain it as well, and is dropped for having more parameters."""
         return self.told_apart and self.sigma < criteria.CLEARLY_SEEN
 
 

@@ -53,7 +53,7 @@ class OneJoint:
 
     @property
     def by_torque(self) -> bool:
-        """Whether its output is the torque that it was driven by, not its angle."""
+        """Tell whether its output is the torque that it was driven by, not its angle."""
         return not self.model.states
 
 

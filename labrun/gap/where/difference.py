@@ -183,7 +183,7 @@ class Mover:
 
     @property
     def moves(self) -> bool:
-        """Whether it moves at all."""
+        """Tell whether it moves at all."""
         return any(np.ptp(one) > 0 for one in self.coordinate if len(one) > 1)
 
     def peak_rate(self) -> float:

@@ -43,7 +43,7 @@ class Axis:
 
     @property
     def is_words(self) -> bool:
-        """Whether the values are words."""
+        """Tell whether the values are words."""
         return any(isinstance(value, str) for value in self.values)
 
     @property

@@ -89,7 +89,7 @@ class Sequencer:
 
     @property
     def counts_anew(self) -> bool:
-        """Whether nothing but old records comes: the box itself was restarted."""
+        """Tell whether nothing but old records comes: the box itself was restarted."""
         return self._leapt or self._stale >= _MOST_STALE
 
     def feed(self, records: Records, host_time_s: FloatArray) -> list[Ordered]:

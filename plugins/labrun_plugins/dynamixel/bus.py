@@ -114,7 +114,7 @@ class Bus:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open."""
+        """Tell whether the port is open."""
         return self._serial.is_open and self._port is not None
 
     @property

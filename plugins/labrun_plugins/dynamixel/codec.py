@@ -79,7 +79,7 @@ class Status:
 
     @property
     def alert(self) -> bool:
-        """Whether the servo has latched a hardware error."""
+        """Tell whether the servo has latched a hardware error."""
         return bool(self.error & ALERT)
 
     @property

@@ -166,7 +166,7 @@ class DynamixelWithFeedback(DynamixelServos):
 
     @property
     def _looping(self) -> bool:
-        """Whether a loop has the bus."""
+        """Tell whether a loop has the bus."""
         return self._lent is not None and not self._lent.state[HALT]
 
     def _idle(self) -> None:

@@ -82,7 +82,7 @@ class _Talk:
 
     @property
     def strange(self) -> bool:
-        """Whether what comes is not of this protocol."""
+        """Tell whether what comes is not of this protocol."""
         return self._received > _STRANGE_BYTES and self._parser.accepted == 0
 
     def open(self, patience_s: float = 0.0) -> None:

@@ -229,7 +229,7 @@ class LineSession:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open."""
+        """Tell whether the port is open."""
         return self._port.is_open
 
     def open(self, kind: str) -> Hello:

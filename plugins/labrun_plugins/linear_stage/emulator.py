@@ -72,17 +72,17 @@ class Axis:
 
     @property
     def moving(self) -> bool:
-        """Whether it moves, or is about to."""
+        """Tell whether it moves, or is about to."""
         return self.mode != "still"
 
     @property
     def at_low(self) -> bool:
-        """Whether the lower end switch, or the lower limit it was given, is reached."""
+        """Tell whether the lower end switch, or the lower limit it was given, is reached."""
         return self.pressed == "LOW" or self.true_mm <= 0.0 or self._beyond(self.soft_mm[0], -1)
 
     @property
     def at_high(self) -> bool:
-        """Whether the upper end switch, or the upper limit it was given, is reached."""
+        """Tell whether the upper end switch, or the upper limit it was given, is reached."""
         return self.pressed == "HIGH" or self.true_mm >= self.stroke_mm or self._beyond(self.soft_mm[1], +1)
 
     def reset(self, now_s: float) -> None:

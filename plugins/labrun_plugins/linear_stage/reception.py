@@ -52,7 +52,7 @@ class StageSample:
 
     @property
     def saturated(self) -> bool:
-        """Whether the amplifier is at the end of its range, by its flag or by its value."""
+        """Tell whether the amplifier is at the end of its range, by its flag or by its value."""
         return is_saturated(self.counts) or Flags.SATURATED in self.flags
 
 

@@ -37,7 +37,7 @@ class Body:
 
     @property
     def measured(self) -> bool:
-        """Whether this is a measurement: tracked in this frame, and a pose at all."""
+        """Tell whether this is a measurement: tracked in this frame, and a pose at all."""
         return (
             bool(self.params & TRACKED)
             and all(map(math.isfinite, self.pose))
@@ -55,7 +55,7 @@ class Marker:
 
     @property
     def measured(self) -> bool:
-        """Whether cameras saw it: neither hidden nor filled in from the model."""
+        """Tell whether cameras saw it: neither hidden nor filled in from the model."""
         return not self.params & (OCCLUDED | MODEL_FILLED) and all(map(math.isfinite, self.position))
 
 

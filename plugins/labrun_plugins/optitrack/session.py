@@ -378,7 +378,7 @@ class Session:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether it is open who streams, or which bodies the numbers in the frames stand for."""
+        """Tell whether it is open who streams, or which bodies the numbers in the frames stand for."""
         return bool(self._doubts)
 
     def doubtful_for_s(self) -> float:

@@ -77,7 +77,7 @@ class SimulatedDevice:
 
     @property
     def closed(self) -> bool:
-        """Whether the device is not connected."""
+        """Tell whether the device is not connected."""
         return self._opened_s is None
 
     @property

@@ -41,7 +41,7 @@ class Connection:
 
     @property
     def is_open(self) -> bool:
-        """Whether it was opened, and neither closed nor lost."""
+        """Tell whether it was opened, and neither closed nor lost."""
         return self._socket is not None
 
     def open(self, timeout_s: float = _CONNECT_S) -> None:

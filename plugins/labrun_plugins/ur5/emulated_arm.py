@@ -324,12 +324,12 @@ class EmulatedArm:
 
     @property
     def moving(self) -> bool:
-        """Whether the tool moves."""
+        """Tell whether the tool moves."""
         return self._motion is not None
 
     @property
     def able(self) -> bool:
-        """Whether it could move: on, and stopped by nothing."""
+        """Tell whether it could move: on, and stopped by nothing."""
         return self.robot_mode == 7 and self.safety_mode == 1
 
     @property

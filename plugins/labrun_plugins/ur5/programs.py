@@ -96,7 +96,7 @@ class Dashboard:
             return False
 
     def remote_control(self) -> bool | None:
-        """Return whether the arm takes orders from outside; None where that is not known (CB3)."""
+        """Tell whether the arm takes orders from outside; None where that is not known (CB3)."""
         reply = self.ask("is in remote control").lower()
         return {"true": True, "false": False}.get(reply)
 

@@ -70,7 +70,7 @@ class ArmState:
 
     @property
     def program_runs(self) -> bool:
-        """Whether the controller executes a program."""
+        """Tell whether the controller executes a program."""
         return self.runtime == PLAYING or bool(self.status_bits & _PROGRAM_BIT)
 
 

@@ -83,7 +83,7 @@ class Bench(ABC):
 
     @property
     def smooth_drives(self) -> bool:
-        """Whether servos are to follow what they are told without frames, steps and dead band."""
+        """Tell whether servos are to follow what they are told without frames, steps and dead band."""
         return bool(self._settings.as_modelled) and self.steps_are_beyond_model
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:  # noqa: B027

@@ -193,7 +193,7 @@ class JointDrive:
                 angle_rad[first:] = np.interp(time_s[first:] - start_s, times, points)
 
     def under_way(self, time_s: FloatArray) -> FloatArray:
-        """Return whether a command is under way (1) or has ended (0), at ascending times, shape (n,)."""
+        """Tell whether a command is under way (1) or has ended (0), at ascending times, shape (n,)."""
         active = np.zeros(len(time_s))
         for start_s, times, _ in self._moves:
             first = int(np.searchsorted(time_s, start_s))
@@ -244,7 +244,7 @@ class Carriage:
 
     @property
     def at_rest(self) -> bool:
-        """Whether it stands still, and no move is to come."""
+        """Tell whether it stands still, and no move is to come."""
         return not self._later and (self._to_m == self._from_m or self._speed_m_s <= 0.0)
 
     @property
