@@ -18,19 +18,9 @@ from labrun.gap.noise import from_reading_errors, from_repeats, from_residual
 from labrun.gap.recalibration import as_stated, in_units_of, member_residuals, stated_problem
 from labrun.gap.screening import Base, Survey, refit, rough, survey
 from labrun.gap.unit_pair import BOTH, FIRST, SECOND, UNIT, UnitPair, both_units
-from labrun.gap.unit_scatter import FEWEST_PIECES, kept_unseen, scatter_of_trials
+from labrun.gap.unit_scatter import kept_unseen, scatter_of_trials
 from labrun.models import Model
 from labrun.notebook import as_reported
-
-_FITTED = 4
-"""Candidates that are fitted in each round, the most promising ones."""
-_AS_GOOD, _LITTLE = 0.02, 0.1
-"""What removes less than the best by this part of that, or of what the best leaves, says as much."""
-_KEPT = 0.5
-"""Part of its gain that a difference must keep on trials it did not see."""
-_MOST_ROUNDS = 6
-_KNOWN = 0.2
-"""Half an interval, as a part of the value, up to which it may be said that something does not differ."""
 
 
 @dataclass(frozen=True)
@@ -188,20 +178,22 @@ def compare_units(
     tried = variables + len(library)
     differing = 0.0
     chosen: list[tuple[_Try, tuple[str, ...]]] = []
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(criteria.DIFFERENCE_ROUNDS):
         note(f"looking for what differs ({tried} things that could)")
         round_ = _round(pair, base_z, library, [one for one, _ in chosen], shared, each)
         if not round_:
             break
         most = max(one.gain for one in round_)
-        loss = max(_AS_GOOD * most, _LITTLE * (pair.squares(base_z) - most))
+        loss = max(
+            criteria.DIFFERENCE_AS_GOOD * most, criteria.DIFFERENCE_LITTLE * (pair.squares(base_z) - most)
+        )
         as_good = [one for one in round_ if one.gain >= most - loss]
         best = min(as_good, key=lambda one: (*one.rank, -one.gain))
         deviation, freedom = scatter_of_trials(best.problem, best.z)
         sizes = range(best.problem.size - best.added, best.problem.size)
         strength = max(abs(best.z[one]) / deviation[one] for one in sizes)
         beyond = strength > student(freedom, 1.0 - 0.025 / tried)
-        if not beyond or kept_unseen(best.problem, best.z, best.added) < _KEPT:
+        if not beyond or kept_unseen(best.problem, best.z, best.added) < criteria.DIFFERENCE_KEPT:
             break
         rivals = tuple(one.words for one in as_good if one is not best and not _richer(one, best))
         chosen.append((best, rivals))
@@ -293,13 +285,14 @@ def _round(
         length = float(line @ line)
         return float(before @ line) ** 2 / length if length > 0 else 0.0
 
-    variables = sorted((one for one in shared if one not in gone), key=lambda one: -promise(one))[:_FITTED]
+    most = criteria.DIFFERENCES_FITTED
+    variables = sorted((one for one in shared if one not in gone), key=lambda one: -promise(one))[:most]
     taken = {one.candidate.name for one in chosen if one.candidate is not None}
     looked = each(lambda one: survey(base, one), [one for one in library if one.name not in taken])
     looked = sorted((one for one in looked if one.starts), key=lambda one: -one.potential)
     effects = [
-        *[one for one in looked if _unit_of(one) == BOTH][:_FITTED],
-        *[one for one in looked if _unit_of(one) != BOTH][:_FITTED],
+        *[one for one in looked if _unit_of(one) == BOTH][:most],
+        *[one for one in looked if _unit_of(one) != BOTH][:most],
     ]
     return [
         *each(lambda one: _let_differ(base, one), variables),
@@ -388,7 +381,8 @@ def _told(
         moved = minimise(freed, np.insert(z, problem.size, 0.0), tolerance=1e-4, evaluations=20)
         change = _estimate(freed, moved, freed.size - 1, _unit(problem, variable, data))
         value = float(values[problem.priors.free[variable]])
-        known = 0.5 * (change.high - change.low) <= _KNOWN * abs(value) and change.low <= 0.0 <= change.high
+        narrow = 0.5 * (change.high - change.low) <= criteria.KNOWN_NOT_TO_DIFFER * abs(value)
+        known = narrow and change.low <= 0.0 <= change.high
         verdict = "both lack" if variable >= variables else "same" if known else "open"
         others.append(
             UnitDifference(*_named(problem, variable), value, value + change.value, change, verdict)
@@ -431,7 +425,7 @@ def _remarks(data: Dataset, first: int, second: int) -> list[str]:
         found.append(
             "the two have no condition in common: what the model lacks may look like a difference between them"
         )
-    if min(first, second) < FEWEST_PIECES:
+    if min(first, second) < criteria.FEWEST_UNIT_PIECES:
         found.append(
             f"{first} and {second} trials: intervals rest on blocks of them, and know little of how trials differ"
         )

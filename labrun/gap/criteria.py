@@ -3,6 +3,9 @@
 Where no evidence is told, the value was chosen when the step was written and not tested separately. Figures of seeds
 are those of `labrun gap check`. Lengths, shares and factors are plain numbers; "in units of the noise" means multiples
 of the standard deviation of one trial's noise.
+
+Numbers that decide nothing as long as they are small or fine enough stand where they are used: ridges, steps behind
+differences, roundings, grids of what is tried, draws.
 """
 
 # --- what data can be diagnosed -----------------------------------------------------------------------------------
@@ -456,8 +459,70 @@ FARTHEST_VALUE, NO_LIMIT_NEAR = 4.0, 20.0
 BY_HAND_S = 60.0
 """What a change by hand counts for when trials are chosen (chosen; the rig time that is told is without it)."""
 
+# --- trials before any data -------------------------------------------------------------------------------------------
+
+ASSUMED_NOISE = 0.01
+"""Noise of one trial where nobody states it: this part of what the output moves over."""
+PLANNED_SEEN = 5.0
+"""Standard deviations beyond all that parameters imitate, at which an effect counts as visible."""
+PLANNED_ALIKE = 0.95
+"""Cosine between changes above which these trials would not tell two effects apart."""
+PLANNED_OWN, PLANNED_OTHERS = 8, 24
+"""Most trials of the experiment itself, and beside them, that are looked at."""
+PLANNED_GAIN = 0.05
+"""A further trial is worth it while it makes effects visible that are smaller by this, on average, in e-folds."""
+
+# --- a law for what the causes leave ----------------------------------------------------------------------------------
+
+LAW_TERMS = 3
+"""Most terms of a law. It must remove `LEAST_SHARE` of the rest on withheld trials, as causes must."""
+LAW_TERM_WORTH = 0.02
+"""Share of the rest, on withheld trials, that one term more has to remove."""
+LAW_TERM_NEW = 0.1
+"""Part of a term that must be left once those already chosen have imitated it."""
+LAW_BLOCKS, LAW_RESAMPLES = 8, 50
+"""Blocks of time that are withheld where there is one condition; and how often trials are drawn anew, to say how often
+the same law is found."""
+LAW_SIGN_WIDTH = 0.02
+"""Part of the typical rate (or signal) over which the smoothed sign changes."""
+
+# --- fresh data -------------------------------------------------------------------------------------------------------
+
+FRESH_HORIZONS_S = (0.1, 0.5, 2.0)
+"""How far ahead is predicted where nobody says."""
+FRESH_STARTS = 40
+"""Predictions of one trial, spread evenly over it."""
+FRESH_PIECES = 8
+"""Pieces that a single trial is resampled in."""
+
+# --- two units --------------------------------------------------------------------------------------------------------
+
+DIFFERENCES_FITTED, DIFFERENCE_ROUNDS = 4, 6
+"""Candidates that are fitted in each round, the most promising ones, and most rounds."""
+DIFFERENCE_AS_GOOD, DIFFERENCE_LITTLE = 0.02, 0.1
+"""What removes less than the best by this part of that, or of what the best leaves, says as much."""
+DIFFERENCE_KEPT = 0.5
+"""Part of its gain that a difference must keep on trials it did not see."""
+KNOWN_NOT_TO_DIFFER = 0.2
+"""Half an interval, as a part of the value, up to which it may be said that something does not differ."""
+FEWEST_UNIT_PIECES = 8
+"""Pieces per unit that intervals rest on: trials, or where there are fewer, blocks of them."""
+
 # --- robots, joint by joint ---------------------------------------------------------------------------------------
 
+ROBOT_SUBSTEPS = 16
+"""Most steps of the integrator per sample where the whole robot is simulated."""
+GAIN_TOLERANCE, MASS_TOLERANCE = 0.1, 0.05
+"""How far the gains of a drive and the masses of a file may be off."""
+LEAST_TORQUE = 0.01
+"""Part of a joint's torque that a body must ask for to have a mass of its own among the parameters."""
+LEAST_TORQUE_LEFT = 0.01
+"""Part of what the drive puts on a joint that is left at the least: with masses and gains that are all nothing, nothing
+would be."""
+NUMBERS_A_TRIAL = 10
+"""What a trial tells of a joint, independent of one another, however many its samples are: neighbours say the same."""
+CLOCK_FARTHEST_STEP_S = 0.03
+"""Most of a step to the time by which a joint's goals are late: they are no straight lines for longer."""
 LOAD_STEPS = 4
 """Steps to the place of a load, and of reweighing the joints that tell it: both settle within three."""
 CLOCK_STEPS, CLOCK_TOLD, CLOCK_ALIKE = 6, 3.0, 0.2

@@ -7,11 +7,9 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit import Problem
+from labrun.gap import criteria
 from labrun.gap.nuisance import basis, off
 from labrun.gap.unit_pair import FIRST, SECOND, UNIT
-
-FEWEST_PIECES = 8
-"""Pieces per unit that intervals rest on: trials, or where there are fewer, blocks of them."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,7 @@ def _pieces(problem: Problem, z: FloatArray) -> list[_Piece]:
     found: list[_Piece] = []
     for unit in (FIRST, SECOND):
         members = [index for index, one in enumerate(units) if one == unit]
-        cuts = 1 if len(members) >= FEWEST_PIECES else -(-FEWEST_PIECES // len(members))
+        cuts = max(-(-criteria.FEWEST_UNIT_PIECES // len(members)), 1)
         for index in members:
             span = basis(jacobian.own[index])
             shared, residual = off(span, jacobian.shared[index]), off(span, jacobian.residual[index])

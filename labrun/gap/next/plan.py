@@ -22,20 +22,10 @@ from labrun.models import Model, simulate
 from labrun.notebook import as_reported
 from labrun.store import SignalInfo
 
-NOISE_SHARE = 0.01
-"""Noise of one trial where nobody states it: this part of what the output moves over."""
-_SEEN = 5.0
-"""Standard deviations beyond all that parameters imitate, at which an effect counts as visible."""
 _SIZES = (1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
 """Sizes that are tried, as parts of what is typical at the site."""
 _MIDDLE = 3
 """Place of the middle one."""
-_ALIKE = 0.95
-"""Cosine between changes above which these trials would not tell two effects apart."""
-_OWN, _POOL = 8, 24
-"""Most trials of the experiment itself, and beside them, that are looked at."""
-_LEAST_GAIN = 0.05
-"""A further trial is worth it while it makes effects visible that are smaller by this, on average, in e-folds."""
 _RIDGE = 1e-9
 _NUMERICAL = 1e-3
 """Change, in units of the noise, below which differences of simulations may be rounding."""
@@ -173,7 +163,10 @@ def plan_trials(
         Noise of an output that the model has not, or a model that does not simulate the experiment.
     """
     note("looking what the rig allows")
-    pool = [*bench.trials(evenly(bench.measured, _OWN)), *evenly(bench.pool(rng), _POOL)]
+    pool = [
+        *bench.trials(evenly(bench.measured, criteria.PLANNED_OWN)),
+        *evenly(bench.pool(rng), criteria.PLANNED_OTHERS),
+    ]
     notes: list[str] = []
     kept, outputs = _simulated(model, pool, notes)
     data = planned_data(_empty(model, bench), kept, outputs, repeats)
@@ -260,7 +253,9 @@ def _noise(model: Model, spread: FloatArray, stated: Mapping[str, float]) -> Flo
                 f"noise {name} = {value:g}: a positive size of an output of {model.name} was expected",
                 hint=f"its outputs are {', '.join(names)}",
             )
-    return np.array([stated.get(name, NOISE_SHARE * size) for name, size in zip(names, spread, strict=True)])
+    return np.array(
+        [stated.get(name, criteria.ASSUMED_NOISE * size) for name, size in zip(names, spread, strict=True)]
+    )
 
 
 def _tried(
@@ -306,9 +301,10 @@ def _chosen(pool: Sequence[PlannedTrial], tried: Sequence[_Tried], imitation: Im
     def value(chosen: Sequence[int]) -> float:
         strengths = [imitation.left(one.middle, chosen) ** 0.5 for one in tried]
         # what is far beyond visible, or far from it, need not become more so
-        return float(np.mean(np.log(np.clip(strengths, 0.1 * _SEEN, 20.0 * _SEEN)))) if strengths else 0.0
+        room = 0.1 * criteria.PLANNED_SEEN, 20.0 * criteria.PLANNED_SEEN
+        return float(np.mean(np.log(np.clip(strengths, *room)))) if strengths else 0.0
 
-    return greedy(value, [one.cost_s**0.5 for one in pool], lambda _: _LEAST_GAIN)
+    return greedy(value, [one.cost_s**0.5 for one in pool], lambda _: criteria.PLANNED_GAIN)
 
 
 def _imitated(one: _Tried, strengths: FloatArray, chosen: Sequence[int]) -> bool:
@@ -324,7 +320,7 @@ def _held_against(
     told: Sequence[Visible], tried: Sequence[_Tried], imitation: Imitation, chosen: Sequence[int]
 ) -> list[Visible]:
     """Return what is visible with the names of what would look the same."""
-    alike = imitation.cosines([one.middle for one in tried], chosen) > _ALIKE
+    alike = imitation.cosines([one.middle for one in tried], chosen) > criteria.PLANNED_ALIKE
     seen = [one.size is not None for one in told]
     return [
         replace(
@@ -341,28 +337,28 @@ def _held_against(
 
 def _visible(one: _Tried, imitation: Imitation, chosen: Sequence[int], units: Mapping[str, str]) -> Visible:
     """Return the size from which on the chosen trials show an effect; whether any trial of the pool would."""
-    name, main = Name(one.attached.effect.id, one.attached.site), one.main
+    name, main, seen = Name(one.attached.effect.id, one.attached.site), one.main, criteria.PLANNED_SEEN
     strengths = np.sqrt([imitation.left(each, chosen) for each in one.changes])
     imitated = _imitated(one, strengths, chosen)
-    if imitated or np.max(strengths) < _SEEN:
+    if imitated or np.max(strengths) < seen:
         whole = max(float(each.squares[chosen].sum()) ** 0.5 for each in one.changes)
         every = range(len(one.middle.squares))
         why = (
             "moves nothing here"
-            if whole < _SEEN
+            if whole < seen
             else "parameters and initial states imitate it"
-            if imitated or max(imitation.left(each, every) for each in one.changes) < _SEEN**2
+            if imitated or max(imitation.left(each, every) for each in one.changes) < seen**2
             else "only all trials together would show it"
         )
         return Visible(name, main.name, None, -1, why)
-    first = int(np.argmax(strengths >= _SEEN))
+    first = int(np.argmax(strengths >= seen))
     size = abs(one.sizes[first])
     if first > 0 and strengths[first - 1] > 0:  # between the two, in logarithms
         low, high = np.log(strengths[first - 1 : first + 1])
-        part = (np.log(_SEEN) - low) / (high - low)
+        part = (np.log(seen) - low) / (high - low)
         size = float(np.exp((1 - part) * np.log(abs(one.sizes[first - 1])) + part * np.log(size)))
     elif np.isfinite(main.neutral if main.neutral is not None else 0.0):
-        size *= _SEEN / float(strengths[first])  # smaller than all that were tried, where effects are linear
+        size *= seen / float(strengths[first])  # smaller than all that were tried, where effects are linear
     alone = [imitation.left(one.changes[first], [index]) for index in chosen]
     visible = ResampledNumber(size, size, size, units[main.name])
     return Visible(name, main.name, visible, int(np.argmax(alone)))

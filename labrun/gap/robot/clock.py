@@ -15,12 +15,12 @@ from labrun.fit import silent
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.recalibration import recalibrate
-from labrun.gap.robot.one_joint import MASS_TOLERANCE, Prescribed, one_joint
-from labrun.gap.robot.torques import NUMBERS_A_TRIAL, JointTorque
+from labrun.gap.robot.one_joint import Prescribed, one_joint
+from labrun.gap.robot.torques import JointTorque
 from labrun.gap.screening import Base
 
-_FARTHEST_STEP_S, _NUDGE_S = 0.03, 1e-3
-"""Of a step to the time: goals are no straight lines for longer; and half of a step behind a slope of simulations."""
+_NUDGE_S = 1e-3
+"""Half of a step behind a slope of simulations."""
 
 
 def common_lead(found: Prescribed, rng: np.random.Generator) -> float:
@@ -47,7 +47,9 @@ def common_lead(found: Prescribed, rng: np.random.Generator) -> float:
 def _alone(found: Prescribed) -> tuple[FloatArray, FloatArray]:
     """Return what each joint says by its torques, and its standard deviation, s; infinite where it says nothing."""
     leads, deviations = [], []
-    share = min(NUMBERS_A_TRIAL * len(found.motions) / sum(len(one[0]) for one in found.motions), 1.0)
+    share = min(
+        criteria.NUMBERS_A_TRIAL * len(found.motions) / sum(len(one[0]) for one in found.motions), 1.0
+    )
     for place in range(len(found.robot.joints)):
         lead_s, sd_s, deviation = 0.0, np.inf, 0.0
         for _ in range(criteria.CLOCK_STEPS):
@@ -56,14 +58,18 @@ def _alone(found: Prescribed) -> tuple[FloatArray, FloatArray]:
                 break
             deviation = deviation or max(float(np.std(one.left)), one.least)
             columns = np.column_stack([one.late, one.columns, one.bodies])
-            spread = np.concatenate([[np.inf], one.spread, np.full(one.bodies.shape[1], MASS_TOLERANCE)])
+            spread = np.concatenate(
+                [[np.inf], one.spread, np.full(one.bodies.shape[1], criteria.MASS_TOLERANCE)]
+            )
             normal = share * columns.T @ columns / deviation**2 + np.diag(1.0 / np.square(spread))
             scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
             inverse = np.linalg.pinv(normal * scale * scale[:, None], rcond=1e-12, hermitian=True)
             fitted = scale * (inverse @ (scale * (share * columns.T @ one.left / deviation**2)))
             deviation = max(float(np.std(one.left - columns @ fitted)), one.least)
             # what is left by goals at this time grows by `late` with every second that they are read further ahead
-            lead_s -= float(np.clip(fitted[0], -_FARTHEST_STEP_S, _FARTHEST_STEP_S))
+            lead_s -= float(
+                np.clip(fitted[0], -criteria.CLOCK_FARTHEST_STEP_S, criteria.CLOCK_FARTHEST_STEP_S)
+            )
             sd_s = float(scale[0] * np.sqrt(inverse[0, 0]))
         leads.append(lead_s)
         deviations.append(sd_s)

@@ -26,7 +26,6 @@ OF_A_TORQUE = ("delay", "early-clock", "lag")
 _CLOCKS = ("early-clock", "late-clock")
 """Of an encoder, and of its goals: beside the other, one is the other."""
 _NOT_LOOKED_FOR = "no cause was looked for"
-_MOST_SUBSTEPS = 16
 
 
 def diagnose_robot(
@@ -167,7 +166,7 @@ def _smoothing_gap(one: OneJoint, drawn: OneJoint) -> float:
         inputs[:, own] = trial.inputs[:, own]
         substeps = substeps or suggest_substeps(
             one.model, trial.time_s[:50], trial.inputs[:50], initial_state=begin, condition=trial.condition,
-            tolerance=1e-3, most=_MOST_SUBSTEPS,
+            tolerance=1e-3, most=criteria.ROBOT_SUBSTEPS,
         )  # fmt: skip
         courses = [
             simulate(

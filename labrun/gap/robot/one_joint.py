@@ -21,6 +21,7 @@ from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, load_effect
 from labrun.errors import RequestError
 from labrun.fit import Dataset
+from labrun.gap import criteria
 from labrun.gap.motion import smoothed
 from labrun.models import (
     Carried,
@@ -36,11 +37,6 @@ from labrun.models import (
     robot_terms,
 )
 from labrun.store import SignalInfo
-
-LEAST_SHARE = 0.01
-"""Part of a joint's torque that a body must ask for to have a mass of its own among the parameters."""
-GAIN_TOLERANCE, MASS_TOLERANCE = 0.1, 0.05
-"""How far the gains of a drive and the masses of a file may be off."""
 
 
 @dataclass(frozen=True)
@@ -269,9 +265,11 @@ def one_joint(found: Prescribed, place: int) -> OneJoint:
     acceleration = np.concatenate([one[2][:, place] for one in found.motions])
     shares = np.sqrt(np.mean((torque + inertia * acceleration[:, None]) ** 2, axis=0))
     total = float(np.sqrt(np.mean(np.sum(torque + inertia * acceleration[:, None], axis=1) ** 2)))
-    own = [k for k, share in enumerate(shares) if share > LEAST_SHARE * total]
+    own = [k for k, share in enumerate(shares) if share > criteria.LEAST_TORQUE * total]
     rest = [k for k in range(len(shares)) if k not in own]
-    tilted = bool(max(float(np.ptp(one.tilt[:, place])) for one in found.terms) > LEAST_SHARE * total)
+    tilted = bool(
+        max(float(np.ptp(one.tilt[:, place])) for one in found.terms) > criteria.LEAST_TORQUE * total
+    )
     loaded = bool(max(float(np.ptp(one.load[:, place])) for one in found.terms) > 0)
     bodies = [found.terms[0].bodies[k] for k in own]
     text = "\n".join(_lines(found, place, joint, drive, bodies, tilted=tilted, loaded=loaded))
@@ -398,24 +396,27 @@ def _parameters(
             found.whole,
             f"{q}_stiffness",
             found.own.stiffness[place],
-            GAIN_TOLERANCE,
+            criteria.GAIN_TOLERANCE,
             f"{force}/{joint.unit}",
         )
     armature = found.own.armature[place]
     if armature or f"{q}_armature" in {one.name for one in found.whole.parameters}:
         # a rotor's inertia behind a gear is known no better than the masses that hang on the joint
         inertia = "kg m^2" if joint.unit == "rad" else "kg"
-        yield _parameter(found.whole, f"{q}_armature", armature, MASS_TOLERANCE, inertia)
+        yield _parameter(found.whole, f"{q}_armature", armature, criteria.MASS_TOLERANCE, inertia)
     else:
         yield f"{q}_armature = {{ value = 0.0, tolerance = 0.0 }}"
     gains = found.own.drives.get(joint.name)
     if gains is not None and gains.kp:
-        yield _parameter(found.whole, _gain(joint, drive), gains.kp, GAIN_TOLERANCE, f"{force}/{joint.unit}")
+        yield _parameter(
+            found.whole, _gain(joint, drive), gains.kp, criteria.GAIN_TOLERANCE, f"{force}/{joint.unit}"
+        )
     if gains is not None and gains.kv and drive is not None and drive.command == "position":
         # of the motion alone it is the joint's damping; of what the drive puts on the gear it is a part
-        yield _parameter(found.whole, _rate_gain(joint, drive), gains.kv, GAIN_TOLERANCE, per)
+        yield _parameter(found.whole, _rate_gain(joint, drive), gains.kv, criteria.GAIN_TOLERANCE, per)
     for k, body in enumerate(bodies):
-        yield f"{identifier(body)}_mass_ratio = {{ value = 1.0, tolerance = {MASS_TOLERANCE}, lower = 0.0 }} # {k}"
+        known = f"value = 1.0, tolerance = {criteria.MASS_TOLERANCE}, lower = 0.0"
+        yield f"{identifier(body)}_mass_ratio = {{ {known} }} # {k}"
 
 
 def _sites(

@@ -13,8 +13,8 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.gap import criteria
-from labrun.gap.robot.one_joint import MASS_TOLERANCE, Prescribed
-from labrun.gap.robot.torques import NUMBERS_A_TRIAL, JointTorque
+from labrun.gap.robot.one_joint import Prescribed
+from labrun.gap.robot.torques import JointTorque
 from labrun.models import TipLoad
 
 _DIFFERENCE_M = 1e-3
@@ -54,12 +54,12 @@ def _fitted(joints: Sequence[JointTorque], load: FloatArray, mass_kg: float, tri
     Each joint counts in units of what is left at it, which is found by repetition.
     """
     count, own = joints[0].bodies.shape[1], joints[0].columns.shape[1]
-    size, share = 4 + count + own * len(joints), min(NUMBERS_A_TRIAL * trials / len(load), 1.0)
+    size, share = 4 + count + own * len(joints), min(criteria.NUMBERS_A_TRIAL * trials / len(load), 1.0)
     deviations = [max(float(np.std(one.left)), one.least) for one in joints]
     found = np.zeros(size)
     for _ in range(criteria.LOAD_STEPS):
         normal, right = np.zeros((size, size)), np.zeros(size)
-        normal[range(4, 4 + count), range(4, 4 + count)] = 1.0 / MASS_TOLERANCE**2
+        normal[range(4, 4 + count), range(4, 4 + count)] = 1.0 / criteria.MASS_TOLERANCE**2
         rows = []
         for place, (one, deviation) in enumerate(zip(joints, deviations, strict=True)):
             first = 4 + count + own * place

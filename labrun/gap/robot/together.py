@@ -7,6 +7,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import LabrunError
+from labrun.gap import criteria
 from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.robot.diagnosis import OF_THE_LOG, OF_THE_WHOLE, JointDiagnosis, OfTheWhole, RobotDiagnosis
 from labrun.gap.robot.one_joint import OneJoint, Prescribed
@@ -17,7 +18,6 @@ IN_THE_ROBOT: Mapping[str, Mapping[str, str]] = {
     "payload": {"tip_load": "mass", "tip_load_x": "x", "tip_load_y": "y", "tip_load_z": "z"},
 }
 """Their parameters in the model of the whole robot, and what these are called in the effect."""
-_MOST_SUBSTEPS = 16
 
 
 def together(
@@ -129,7 +129,7 @@ def _errors(found: Prescribed, model: Model) -> FloatArray:
                 trial.inputs[:50],
                 initial_state=begin,
                 tolerance=1e-3,
-                most=_MOST_SUBSTEPS,
+                most=criteria.ROBOT_SUBSTEPS,
             )
         made = simulate(
             model,

@@ -9,14 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.gap.robot.one_joint import GAIN_TOLERANCE, MASS_TOLERANCE, Prescribed
+from labrun.gap import criteria
+from labrun.gap.robot.one_joint import Prescribed
 from labrun.models import RobotActuator
 
-NUMBERS_A_TRIAL = 10
-"""What a trial tells of a joint, independent of one another, however many its samples are: neighbours say the same."""
-_LEAST_LEFT = 0.01
-"""Part of what the drive puts on a joint that is left at the least: with masses and gains that are all nothing, nothing
-would be."""
 _DIFFERENCE_S = 1e-3
 """Half the difference of times behind a slope: drives do not change faster."""
 
@@ -77,8 +73,8 @@ class JointTorque:
         columns = np.column_stack(
             [asked, rate, np.sign(rate), np.ones_like(q), own.armature[place] * acceleration]
         )
-        spread = np.array([GAIN_TOLERANCE, np.inf, np.inf, np.inf, MASS_TOLERANCE])
-        least = max(_LEAST_LEFT * float(np.std(effort if drive is not None else left)), 1e-12)
+        spread = np.array([criteria.GAIN_TOLERANCE, np.inf, np.inf, np.inf, criteria.MASS_TOLERANCE])
+        least = max(criteria.LEAST_TORQUE_LEFT * float(np.std(effort if drive is not None else left)), 1e-12)
         others = [number for number, body in enumerate(found.terms[0].bodies) if body != without]
         return cls(left, least, columns, spread, masses[:, others], late)
 

@@ -124,8 +124,8 @@ Densities = Callable[[Sequence[FloatArray]], dict[str, FloatArray]]
 """Takes scaled residuals of every unit, and returns the density of each view."""
 
 _LEAST_SPREAD = 1e-9
-_LEAST_SHARE = 1e-9
-_KNOWN = 1e9
+_NEXT_TO_NONE = 1e-9
+_AS_GOOD_AS_KNOWN = 1e9
 _TRIALS = 60
 
 
@@ -198,7 +198,7 @@ def _normal(values: FloatArray, relative: bool) -> FloatArray:
     """Return sums of squares, or shares of a sum, in a measure in which noise is nearly normal."""
     if not relative:
         return np.asarray(np.cbrt(values), dtype=float)
-    inside = np.clip(values, _LEAST_SHARE, 1.0 - _LEAST_SHARE)
+    inside = np.clip(values, _NEXT_TO_NONE, 1.0 - _NEXT_TO_NONE)
     return np.asarray(np.log(inside / (1.0 - inside)), dtype=float)
 
 
@@ -256,14 +256,16 @@ def _freedom(difference: Difference, rng: np.random.Generator) -> FloatArray:
     """
     noise, units = difference.noise, difference.units
     if noise.basis != "repeats" or noise.freedom >= criteria.ENOUGH_FREEDOM:
-        return np.full(noise.sd.shape, _KNOWN)
+        return np.full(noise.sd.shape, _AS_GOOD_AS_KNOWN)
     squares = [
         np.mean(np.square(one) * unit.count, axis=0) / noise.sd**2
         for _ in range(max(1, _TRIALS // len(units.trials)))
         for one, unit in zip(noise.draw(units, rng, cautious=True), units.trials, strict=True)
     ]
     scatter = np.var(squares, axis=0) / max(noise.freedom, 1)
-    return np.asarray(np.clip(2.0 / np.maximum(scatter, 2.0 / _KNOWN), 1.0, _KNOWN), dtype=float)
+    return np.asarray(
+        np.clip(2.0 / np.maximum(scatter, 2.0 / _AS_GOOD_AS_KNOWN), 1.0, _AS_GOOD_AS_KNOWN), dtype=float
+    )
 
 
 def _positive(values: FloatArray) -> FloatArray:
