@@ -17,7 +17,7 @@ from labrun.gap.where.parts import plain
 from labrun.gap.where.significance import redrawn
 from labrun.models import simulate, site_course
 
-_LOOKED_AT = 3
+_POINTS_TRIED = 3
 
 
 def defined(difference: Difference) -> frozenset[int]:
@@ -31,7 +31,7 @@ def defined(difference: Difference) -> frozenset[int]:
     derivative = ctypes.CFUNCTYPE(None, ctypes.c_double, *pointers)(model.derivative.address)
     p = model.vector(difference.parameters, difference.units.trials[0].condition)
     equal = ~np.eye(size, dtype=bool)
-    for point in range(1, _LOOKED_AT + 1):
+    for point in range(1, _POINTS_TRIED + 1):
         numbers = 0.3 * np.cos(point * np.sqrt(np.arange(2.0, 2.0 + size + inputs + sites)))
         x, u, force = np.split(numbers, [size, size + inputs])
         slope = np.full(size, np.nan)
