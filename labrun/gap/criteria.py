@@ -157,6 +157,10 @@ FINER, FINEST, STEPS_DO = 4, 16, 0.005
 """Steps of the integrator are so many times shortened, to so many per sample, until that moves the squared residual by
 less than this part of the recalibrated one: with one step for 20 ms, dry friction removed 0.38 of a servo's gap, with
 sixteen 0.80."""
+STEPS_STAY, STEPS_STAY_IN_BASE = 0.5, 0.1
+"""Where that moves it more, trials that together make up this part of what it may move by keep longer steps: of a
+candidate, and of what others are added to. With half of it there, too, candidates beside a friction that left nothing
+gained by shorter steps alone, and 72 trials took a third longer."""
 SHAPED_BESIDE_BEST = 0.3
 """Shapes are looked at of what gains this part of the best one's gain: dry friction with the usual shape gained 0.45 of
 what backlash did, and with a sharper sign 0.95 (a position servo, six motions)."""

@@ -242,7 +242,7 @@ def in_shorter_steps(problem: Problem, z: FloatArray, moved: float) -> Problem:
     change = _squares_by_trial(finer, z) - _squares_by_trial(problem, z)
     if abs(np.sum(change)) < moved:
         return problem
-    return in_steps_where(problem, finer, change, 0.5 * moved)
+    return in_steps_where(problem, finer, change, criteria.STEPS_STAY * moved)
 
 
 def in_longer_steps(problem: Problem, z: FloatArray, fewest: Sequence[int]) -> Problem:
@@ -261,7 +261,7 @@ def in_longer_steps(problem: Problem, z: FloatArray, fewest: Sequence[int]) -> P
     change, moved = _squares_by_trial(coarser, z) - before, criteria.STEPS_DO * float(np.sum(before))
     if abs(np.sum(change)) <= moved:
         return coarser
-    found = in_steps_where(coarser, problem, change, 0.5 * moved)
+    found = in_steps_where(coarser, problem, change, criteria.STEPS_STAY_IN_BASE * moved)
     return problem if found.steps == problem.steps else found
 
 
