@@ -22,15 +22,20 @@ def confidence(search: Search, one: Chosen) -> float:
     Their weight among all that explains the data as well, less what even a cause without rivals turned out to be wrong.
     """
     weight = one.weight + (one.rivals[0][1] if one.rivals else 0.0)
-    most = ceiling(search.noise.basis, len(search.data.conditions))
+    most = ceiling(search.noise.basis, len(search.data.conditions), one.own_share)
     no_chance = 1.0 - np.exp(-one.rated.evidence)
     return float(np.clip(most * weight * no_chance, criteria.LEAST_CONFIDENCE, most))
 
 
-def ceiling(basis: Basis, conditions: int) -> float:
-    """Return how sure a diagnosis may be of a cause at most: noise not told from gap, or nothing withheld, costs."""
+def ceiling(basis: Basis, conditions: int, own_share: float = 1.0) -> float:
+    """Return how sure a diagnosis may be of a cause at most: noise not told from gap, or nothing withheld, costs.
+
+    So does a cause that little of the gap would come back without, where repeats show that little: another cause's
+    form, which is not nature's, leaves as much.
+    """
+    little = basis == "repeats" and own_share < criteria.LITTLE_SHARE
     return min(
-        criteria.SURE,
+        criteria.SURE_OF_LITTLE if little else criteria.SURE,
         criteria.SURE_WITHOUT_REPEATS if basis == "residual" else criteria.SURE,
         criteria.SURE_OF_ONE_CONDITION if conditions == 1 else criteria.SURE,
     )

@@ -91,6 +91,8 @@ class Chosen:
         The cause's own beside those.
     base, held_out
         The model with it and the causes before it, and what that leaves on withheld conditions.
+    own_share
+        Part of the gap that comes back without it, the other causes fitted again; the whole where it stands alone.
     """
 
     rated: Rated
@@ -98,6 +100,7 @@ class Chosen:
     weight: float
     base: Base
     held_out: ExcessResidual
+    own_share: float = 1.0
 
     @property
     def name(self) -> Name:
@@ -407,7 +410,8 @@ class Selector:
         found = self._beside(chosen, [other for other in chosen if other.name != one.name])
         if found is None:
             return one
-        beside, _ = found
+        beside, left = found
+        one = replace(one, own_share=self._share(chosen[-1].held_out) - self._share(left))
         rated = next((other for other in beside.rated if other.candidate.name == one.name), None)
         if rated is None:
             return one
