@@ -177,9 +177,8 @@ def conclude(
         if decided in ("not-in-library", "partly-explained"):
             missing = missing_forces(difference)
     rated = selection.rounds[0].rated
-    nearest = [max(rated, key=lambda one: one.share).candidate.name] if rated else []
-    if shrunk is not None:
-        nearest = [one.name for one in selection.chosen]
+    best = [max(rated, key=lambda one: one.share).candidate.name] if rated else []
+    nearest = best if shrunk is None else [one.name for one in selection.chosen]
     channels = tuple((one.name, one.unit) for one in dataset.outputs)
     input_channels = tuple((one.name, one.unit) for one in dataset.inputs)
     differs = tuple(

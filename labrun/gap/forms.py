@@ -12,7 +12,8 @@ from labrun.fit import Problem, minimise
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.noise_threshold import NoiseThreshold
-from labrun.gap.screening import Base, Screened, around, in_shorter_steps
+from labrun.gap.screening import Base, Screened, around
+from labrun.gap.steps import in_shorter_steps
 
 
 def best_form(base: Base, screened: Screened, best: float, threshold: NoiseThreshold) -> Screened:

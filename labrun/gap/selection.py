@@ -32,12 +32,11 @@ from labrun.gap.screening import (
     Screened,
     begun_where_kin_ended,
     ends_of,
-    in_longer_steps,
-    in_steps_for,
     refit,
     screen_all,
     survey,
 )
+from labrun.gap.steps import in_longer_steps, in_steps_for
 
 Forms = frozenset[tuple[Name, tuple[str, ...]]]
 """A set of causes, each with what of it is fitted: its shape or not, and which."""

@@ -9,7 +9,7 @@ from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name
 from labrun.gap.recalibration import stated_problem
-from labrun.gap.screening import in_longer_steps, in_shorter_steps
+from labrun.gap.steps import in_longer_steps, in_shorter_steps
 from labrun.models import Model
 
 from .benches import CONDITIONS, pendulum, recorded
