@@ -148,8 +148,7 @@ def minimise(
     start, z = z, np.clip(z, low, high)
     residual = problem.residuals(z) if residual is None or np.any(z != start) else residual
     squares = problem.squares(z, residual)
-    damping, growth, count = _FIRST_DAMPING, 2.0, 1
-    scale = np.zeros(len(z))
+    damping, growth, count, scale = _FIRST_DAMPING, 2.0, 1, np.zeros(len(z))
     moving = high[:size] > low[:size]
     jacobian, fresh, partly = derivatives, False, False
     while count < evaluations and (jacobian is not None or renewals > 0) and not stop(z):
@@ -185,6 +184,8 @@ def minimise(
                 damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), _LEAST_DAMPING)
                 growth = 2.0
                 break
+            if final and predicted < tolerance * squares:  # nor would a shorter step gain what counts
+                return z
             if not fresh:  # the derivatives may be to blame
                 jacobian = None
                 break

@@ -141,7 +141,7 @@ WORTH_BESIDE_BEST = 0.03
 ALWAYS_FITTED = 3
 """... and the best few in any case."""
 WORTH_FOLLOWING = 0.1
-"""What is roughly fitted is followed to its end if it gains this part of what the best one gains."""
+"""What is roughly fitted is followed to its end if it gains this part of what the best gains, and of what it has to."""
 ROUGH_TOLERANCE, ROUGH_EVALUATIONS = 1e-2, 12
 """Of rough fits: relative fall of the sum of squares at which they end, and most evaluations."""
 FIT_TOLERANCE, FIT_EVALUATIONS = 1e-4, 30
@@ -196,8 +196,9 @@ MOST_FOLDS = 8
 """Conditions are left out one at a time, or in this many groups where there are more."""
 WITHHELD_BLOCKS = 8
 """Of one condition, blocks of time are left out, one at a time."""
-FOLD_TOLERANCE, FOLD_EVALUATIONS = 1e-4, 16
-"""As of fits, for those that do not see a condition."""
+FOLD_TOLERANCE, FOLD_EVALUATIONS = 1e-3, 16
+"""As of fits, for those that do not see a condition: noise moves what they leave by ten times as much, in twenty
+thousand samples."""
 FOLD_RENEWALS = 2
 """How often derivatives are taken anew at most in such a fit. Of 200 of them beside bristle friction 179 asked for no
 more; the others took two thirds of the time."""
@@ -210,7 +211,7 @@ MOST_CAUSES = 3
 RATED = 8
 """Candidates of a round that are tested on withheld conditions."""
 RATED_ANYWAY = 2
-"""The best so many are tested even if noise explains them ..."""
+"""The best so many are tested beside no cause even if noise explains them ..."""
 RATED_BESIDE_BEST = 0.3
 """... the others if their score is this part of the best one's."""
 VARIABLE_PRICE = 3.0

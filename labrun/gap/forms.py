@@ -22,7 +22,7 @@ def best_form(base: Base, screened: Screened, best: float, threshold: NoiseThres
     Parameters
     ----------
     best
-        Gain of the best candidate: of what is far behind it, no shape is looked at.
+        Gain of the best candidate, or what has to be gained: of what is far behind it, no shape is looked at.
     """
     if screened.gain < criteria.SHAPED_BESIDE_BEST * max(best, threshold.gain):
         return screened

@@ -281,6 +281,7 @@ def screen_all(
     begun = each(begin, surveys)
     gains = sorted((one.gain for one in begun if one.survey.potential >= needed), reverse=True)
     enough = min(worth * gains[0], gains[: criteria.ALWAYS_FITTED + 1][-1]) if gains else 0.0
+    enough = max(enough, worth * threshold)  # nor what falls far short of what it must
 
     def finish(one: Screened) -> Screened:
         worthy = one.survey.potential >= needed and one.gain >= enough

@@ -509,8 +509,8 @@ class Selector:
         screened = screen_all(base, surveys, max(threshold.gain, least), self.each, known=self._known())
         if not closely:
             return Round(base, screened, threshold, [], learnable)
-        screened = begun_where_kin_ended(base, screened, threshold.gain, self.each)
-        most = max((one.gain for one in screened), default=0.0)
+        screened = begun_where_kin_ended(base, screened, max(threshold.gain, least), self.each)
+        most = max(least, *(one.gain for one in screened), 0.0)
         screened = self.each(lambda one: best_form(base, one, most, threshold), screened)
         rated = self.each(
             lambda one: rate(base, one, threshold, self.noise, self.reference),

@@ -169,3 +169,31 @@ def test_a_descent_ends_where_it_would_take_derivatives_more_often_than_it_may()
     np.testing.assert_array_equal(minimise(problem, z, derivatives=backwards, renewals=0), z)
     once = minimise(problem, z, derivatives=backwards, secant=True, renewals=1)
     assert problem.squares(once) < 0.5 * problem.squares(z)
+
+
+class RoughProblem(Problem):
+    """Simulations that jump from point to point, as a dry friction's do in steps of the integrator."""
+
+    def trial_residual(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
+        smooth = super().trial_residual(parameters, trial, own)
+        return None if smooth is None else smooth + 1e-3 * np.sin(1e9 * np.sum(parameters))
+
+
+def test_a_descent_on_rough_ground_ends_where_no_step_promises_what_counts() -> None:
+    smooth, z = begun(oscillator())
+    near = minimise(smooth, z) * 1.01
+    rough = RoughProblem.of(smooth.model, smooth.data)
+    residual = rough.residuals(near)
+    begun_at = rough.simulations.made
+    end = minimise(
+        rough,
+        near,
+        tolerance=1e-2,
+        derivatives=smooth.jacobian(near),
+        confirmed=False,
+        residual=residual,
+    )
+    assert rough.squares(end) == pytest.approx(smooth.squares(minimise(smooth, z)), rel=0.01)
+    # a step down, derivatives that tell of jumps alone, a step that gains nothing: not one shorter step after the other
+    spent = (rough.simulations.made - begun_at) / len(rough.data.trials)
+    assert spent <= 3 + 2 * len(near[: rough.size]) + 2 * rough.own_size
