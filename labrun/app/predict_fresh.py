@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.app.question import ask, named_model
 from labrun.errors import LabrunError, RequestError
-from labrun.fit import Note, silent
+from labrun.fit import Dataset, Note, silent
 from labrun.gap import FreshTest
 from labrun.gap import predict_fresh as predict
 from labrun.models import Model, load_model
@@ -47,7 +47,8 @@ def predict_fresh(
     Raises
     ------
     RequestError
-        No such data or model, data the model was corrected by, or a horizon that no trial is long enough for.
+        No such data or model, data the model was corrected by (under another name, too), or a horizon that no trial is
+        long enough for.
     """
     folder = find_data(fresh, Path(results))
     chosen = named_model(model, Path(workspace))
@@ -58,6 +59,16 @@ def predict_fresh(
         )
     note(f"reading {folder}")
     question = ask(folder, model, signals=signals, workspace=Path(workspace))
+    if chosen.origin is not None and chosen.origin.data:
+        try:
+            fitted = ask(Path(chosen.origin.data), model, signals=signals, workspace=Path(workspace)).dataset
+        except LabrunError:  # it is gone, or somewhere else: nothing to compare with
+            fitted = None
+        if fitted is not None and (copied := _found_again(fitted, question.dataset)):
+            raise RequestError(
+                f"{folder} holds {copied}, which {model} was corrected by ({chosen.origin.data})",
+                hint="record the bench again, or name a recording without these trials with --fresh",
+            )
     before, missing = (named_model(beside, Path(workspace)), ()) if beside is not None else _origin(chosen)
     found = predict(
         question.model,
@@ -72,6 +83,12 @@ def predict_fresh(
 
 def _same(one: str, other: Path) -> bool:
     return Path(one).resolve() == other.resolve()
+
+
+def _found_again(fitted: Dataset, fresh: Dataset) -> str:
+    """Return the trials of fresh data whose samples are those of a trial that was fitted; "" if there are none."""
+    seen = {trial.outputs.tobytes() for trial in fitted.trials}
+    return ", ".join(trial.label for trial in fresh.trials if trial.outputs.tobytes() in seen)
 
 
 def _origin(model: Model) -> tuple[Model | None, tuple[str, ...]]:

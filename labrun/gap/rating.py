@@ -123,7 +123,7 @@ def promising(
     least
         What they have to gain besides, about.
     """
-    needed = max(threshold.gain, criteria.WORTH_A_FIT * least)
+    needed = max(threshold.gain, criteria.RATED_OF_NEEDED * least)
     ordered = sorted(screened, key=lambda one: -score(one, threshold))
     best = score(ordered[0], threshold) if ordered else 0.0
     return [

@@ -1,5 +1,6 @@
 """A model on fresh data: its error at each horizon against closed forms, and the model it came from beside it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,9 +115,10 @@ def test_a_corrected_model_knows_the_model_and_the_data_it_came_from(corrected, 
     assert load_model(load_model(tmp_path / "again.toml").origin.model).parameters[0].value == 0.9
 
 
-def recorded(folder):
+def recorded(folder, *, trials=2, first=0):
     folder.mkdir()
-    dataset = decays(trials=2, noise=NOISE_V)
+    dataset = decays(trials=trials, noise=NOISE_V)
+    dataset = replace(dataset, trials=dataset.trials[first:])
     lines = ['experiment = "decays"', '[channels.level]\nkind = "output"\nunit = "V"']
     for index, trial in enumerate(dataset.trials):
         table = np.column_stack([trial.time_s, trial.outputs])
@@ -127,10 +129,12 @@ def recorded(folder):
 
 
 def test_a_file_is_tested_beside_its_origin_but_not_on_the_data_it_was_fitted_to(corrected, tmp_path):
-    found = predict_file(corrected, recorded(tmp_path / "fresh"), horizons_s=(0.5,))
+    found = predict_file(corrected, recorded(tmp_path / "fresh", trials=4, first=2), horizons_s=(0.5,))
     assert found.predictions[0].ratio.high > 1.0  # 0.9 is farther from the truth than 0.8
     with pytest.raises(RequestError, match="was corrected by"):
         predict_file(corrected, recorded(tmp_path / "run"))
+    with pytest.raises(RequestError, match=r"copy holds .*, which .* was corrected by"):
+        predict_file(corrected, recorded(tmp_path / "copy"))
     (tmp_path / "decay.toml").unlink()
     alone = predict_file(corrected, tmp_path / "fresh", horizons_s=(0.5,))
     assert alone.predictions[0].before is None
