@@ -244,6 +244,8 @@ class Effect:
         The TOML file it was read from, as it was named; "" for those that ship and those written in Python.
     contains
         Ids of simpler effects that it becomes at some sizes. A library without one of them is without this one, too.
+    arguments
+        What of the site or of the signals its equations use; empty for those written in Python.
     """
 
     id: str
@@ -265,6 +267,7 @@ class Effect:
     least_travel: float = 0.0
     title: str = ""
     origin: str = ""
+    arguments: frozenset[str] = frozenset()
 
     @property
     def periodic(self) -> bool:

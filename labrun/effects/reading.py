@@ -190,6 +190,7 @@ def _effects(id_: str, entry: _Entry, origin: str) -> Iterator[Effect]:
             least_travel=entry.least_travel,
             title=entry.title,
             origin=origin,
+            arguments=frozenset(used),
         )
 
 

@@ -32,6 +32,7 @@ from labrun.gap.intervals import effect_units, parameter_value, scatter, values_
 from labrun.gap.learnable import beyond_scatter, learnable_share
 from labrun.gap.noise import from_residual
 from labrun.gap.nuisance import information
+from labrun.gap.other_laws import needless_beside
 from labrun.gap.pipeline import Search
 from labrun.gap.rating import Rated
 from labrun.gap.recalibration import member_residuals
@@ -151,7 +152,7 @@ def conclude(
     if unproven:
         without = _basis(search, (), floor, rng)
         unproven = not stands_all_the_same(findings, without)
-    unannounced = _unannounced(selection.chosen, findings) if unproven else ()
+    unannounced = _unannounced(selection.chosen, findings, unproven=unproven)
     findings = without if unproven else findings
     sizes, shrunk = findings.sizes, findings.shrinkage
     decided = verdict(findings)
@@ -289,14 +290,34 @@ def _basis(search: Search, chosen: Sequence[Chosen], floor: float, rng: np.rando
     )
     if shrunk is None:
         return basis
-    return replace(basis, shrinkage=replace(shrunk, high=basis.most_removed))
+    basis = replace(basis, shrinkage=replace(shrunk, high=basis.most_removed))
+    if basis.left_is_gap and _may_stand_in(search, kinds):
+        return replace(basis, needless_beside=needless_beside(end.problem, end.z, noise))
+    return basis
 
 
-def _unannounced(chosen: Sequence[Chosen], found: VerdictBasis) -> tuple[str, ...]:
-    """Return what is said of causes that are not announced."""
-    if found.shrinkage is None:
-        return ()
+def _may_stand_in(search: Search, kinds: Sequence[str]) -> bool:
+    """Tell whether to ask for a law that makes causes needless: they are effects, and motion does not follow noise."""
+    followed = any(one.followed for one in search.model.outputs)
+    return "parameter" not in kinds and not followed and not search.selection.final.brisk
+
+
+def _unannounced(chosen: Sequence[Chosen], found: VerdictBasis, *, unproven: bool) -> tuple[str, ...]:
+    """Return what is said of causes that are not announced.
+
+    Parameters
+    ----------
+    unproven
+        Whether what they remove of withheld conditions may be nothing.
+    """
     names = " and ".join(str(one.name) for one in chosen)
+    if found.needless_beside:
+        return (
+            f"{names} stands in for something else: beside {found.needless_beside}, which explains most of what it "
+            "leaves, hardly anything of it is needed",
+        )
+    if found.shrinkage is None or not unproven:
+        return ()
     return (
         f"{names} fits the recorded trials, but on withheld conditions it removes {100 * found.shrinkage.value:.0f} % "
         f"[{100 * found.shrinkage.low:.0f}, {100 * found.shrinkage.high:.0f}] of the gap, which may be nothing: "

@@ -73,7 +73,7 @@ def explain_rest(
     """
     base = Base.of(problem, z)
     rest = base.nuisance.remainder(base.residual, problem.priors.residual(z))
-    folds = _folds(problem, [len(one) for one in base.residual], len(rest))
+    folds = folds_of_rows(problem, [len(one) for one in base.residual], len(rest))
     libraries = [one for one in _libraries(base, note) if one.columns.shape[1]]
     if not libraries:
         return None
@@ -250,7 +250,7 @@ def _read(text: str) -> Effect:
         return read_effects(path)[0]
 
 
-def _folds(problem: Problem, lengths: Sequence[int], rows: int) -> NDArray[np.intp]:
+def folds_of_rows(problem: Problem, lengths: Sequence[int], rows: int) -> NDArray[np.intp]:
     """Return which fold each row belongs to: a condition, or a block of time where there is one; -1 for prior rows."""
     fold = np.full(rows, -1, dtype=np.intp)
     single = len(problem.data.conditions) < 2

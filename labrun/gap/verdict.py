@@ -26,6 +26,8 @@ class VerdictBasis:
         How many there are.
     share_of_seen
         Share of the excess that the causes remove where nothing is withheld.
+    needless_beside
+        A law of what they leave, in words, beside which hardly anything of them is needed; "" if there is none.
     """
 
     sizes: Sizes
@@ -37,6 +39,7 @@ class VerdictBasis:
     beyond_scatter: BeyondScatter = field(default_factory=BeyondScatter)
     trials: int = 1
     share_of_seen: float = 1.0
+    needless_beside: str = ""
 
     @property
     def left_is_gap(self) -> bool:
@@ -82,11 +85,14 @@ class VerdictBasis:
 
     @property
     def impostors(self) -> bool:
-        """Whether causes remove too little of a plain gap to be what makes it; without repeats, if that is sure.
+        """Whether causes stand in for something else that makes a plain gap.
 
-        With repeats it is asked of what they have seen, too: where conditions are withheld, recalibrated parameters
-        extrapolate and leave more, and removing that is no merit.
+        They do if a law of what they leave makes them needless, or if they remove too little; without repeats, if that
+        is sure. With repeats it is asked of what they have seen, too: where conditions are withheld, recalibrated
+        parameters extrapolate and leave more, and removing that is no merit.
         """
+        if self.needless_beside:
+            return True
         if not self.noise_known:
             return self.most_removed < criteria.WHOLE_SHARE
         return min(self.known_share, self.share_of_seen) < criteria.WHOLE_SHARE

@@ -1,0 +1,219 @@
+"""Laws beside which no cause is needed: what tells a stand-in from a right cause that leaves as much.
+
+What a right cause leaves is what its form lacks, or something else beside it: whatever law explains that, the cause is
+needed as before. What a stand-in leaves is the rest of one and the same thing: a law that explains the rest explains
+what the stand-in explained, too, and it goes. So goes an inertia that stood for a mass on a spring.
+"""
+
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect, Effect, Scale, Site, read_effects
+from labrun.fit import Problem
+from labrun.gap import criteria
+from labrun.gap.candidates import site_scales
+from labrun.gap.held_out import fitted_excess
+from labrun.gap.noise import Noise
+from labrun.gap.rest_law import folds_of_rows
+from labrun.gap.screening import Base, refit
+
+_FORCES = (
+    ("1", "(t/T)", "(t/T)^2", "(t/T)^3", "exp(-5*t/T)"),
+    ("x", "x^2", "x^3", "x^5", "abs(x)", "x*abs(x)"),
+    ("u", "u^2", "u^3", "abs(u)", "u*abs(u)", "S"),
+    ("x*u", "x^2*u", "x*u^2", "abs(x)*u", "x*S", "abs(x)*S", "x^2*S"),
+    ("load*S", "abs(load)*S", "load*u", "abs(load)*u", "load", "abs(load)"),
+    ("(t/T)*x", "(t/T)^2*x", "exp(-5*t/T)*x"),
+    ("(t/T)*u", "(t/T)^2*u", "exp(-5*t/T)*u", "(t/T)*S"),
+    ("acceleration", "x*acceleration", "x^2*acceleration", "(t/T)*acceleration"),
+)
+_SIGNALS = (
+    ("1", "(t/T)", "(t/T)^2", "(t/T)^3", "exp(-5*t/T)"),
+    ("y", "y^2", "y^3", "y^5", "abs(y)", "y*abs(y)"),
+    ("(t/T)*y", "(t/T)^2*y", "exp(-5*t/T)*y"),
+)
+"""Laws of one kind of argument each, as sums of terms in multiples of typical motion and of the longest trial."""
+_SAID = {"t": "time", "q": "position"}
+_HELPERS = {"x": "q/c", "u": "rate/v", "S": "tanh(50*rate/v)", "y": "signal/s"}
+_SCALES = {"c": "coordinate", "v": "rate", "s": "signal", "T": "time"}
+_RIDER = """
+[rider]
+title = "A mass on a spring that rides on the joint."
+kind = ["joint", "body"]
+F = "mass*pull"
+where = { pull = "(d/period + 2*damping_ratio*(w - rate))/period" }
+states = { d = "w - rate", w = "-(d/period + 2*damping_ratio*(w - rate))/period" }
+source = "Den Hartog, Mechanical Vibrations (1956), section 3.2"
+[rider.parameters]
+mass = { quantity = "inertia", neutral = 0.0, lower = -10.0, upper = 10.0, starts = [0.0] }
+damping_ratio = { quantity = "ratio", lower = 0.0, upper = 1.0, starts = [0.03], held = true }
+"""
+
+
+def needless_beside(problem: Problem, z: FloatArray, noise: Noise) -> str:
+    """Return the law beside which hardly anything of any cause is needed, in words; "" if there is none.
+
+    Of the laws that predict best what the causes leave of conditions (of one condition, of blocks of time) that they
+    did not see, it is the one that leaves least, fitted with the causes and all that is fitted anyway. A law of no
+    other arguments than a cause at its site is none: the cause is then of another form.
+    """
+    base = Base.of(problem, z)
+    rest = base.nuisance.remainder(base.residual, problem.priors.residual(z))
+    fold = folds_of_rows(problem, [len(one) for one in base.residual], len(rest))
+    laws = list(_laws(problem, z))
+    predicted = np.array([_predicted(_columns(base, scale, law), rest, fold) for _, scale, law in laws])
+    likely = [n for n in np.argsort(predicted)[::-1][: criteria.STARTS_FOLLOWED] if predicted[n] > 0.0]
+    if not likely:
+        return ""
+    (site, law), beside, end = min((_beside(problem, z, *laws[n]) for n in likely), key=_squares)
+    before, after = (fitted_excess(*one, noise).total for one in ((problem, z), (beside, end)))
+    explained = before > 0.0 and after <= (1.0 - criteria.REST_EXPLAINED) * before
+    goes = explained and not _is_own(problem, site, law) and _kept(problem, z, end) <= criteria.KEPT_BESIDE
+    return f"{_words(law)} at {site.name}" if goes else ""
+
+
+_Beside = tuple[tuple[Site, Effect], Problem, FloatArray]
+
+
+def _beside(problem: Problem, z: FloatArray, site: Site, scale: Scale, law: AttachedEffect) -> _Beside:
+    """Return a law, its shape fitted, too, with the problem it is in, and the fit."""
+    law, sizes = _with_its_shape(law, scale)
+    beside = problem.with_effects([law], [scale])
+    return (site, law.effect), beside, refit(beside, np.insert(z, problem.size, sizes))
+
+
+def _squares(one: _Beside) -> float:
+    _, beside, end = one
+    return beside.squares(end)
+
+
+def _with_its_shape(law: AttachedEffect, scale: Scale) -> tuple[AttachedEffect, list[float]]:
+    """Return a law whose shape is fitted, too, and where a fit of it begins."""
+    freed = tuple(replace(one, held=False) if one.shape else one for one in law.effect.parameters)
+    pairs = zip(freed, law.values, strict=True)
+    start = [value / scale.of(one.quantity) for one, value in pairs if not one.held]
+    return replace(law, effect=replace(law.effect, parameters=freed)), start
+
+
+def _words(law: Effect) -> str:
+    of = " and ".join(_SAID.get(one, one) for one in sorted(law.arguments))
+    return "a mass on a spring that rides" if law.states else f"a law of {of}"
+
+
+@cache
+def _library() -> tuple[Effect, ...]:
+    """Return the laws as effects."""
+    entries = [_entry(f"force-{n}", '["joint", "body"]', "F", one) for n, one in enumerate(_FORCES)]
+    entries += [_entry(f"signal-{n}", '["input", "output"]', "y", one) for n, one in enumerate(_SIGNALS)]
+    periods = 1.0 / (2.0 * np.pi * np.geomspace(*criteria.RIDERS, criteria.RIDERS_TRIED))
+    riders = (
+        f'{_RIDER}period = {{ quantity = "time", lower = {periods[-1] / 2.0:.6f}, upper = {2.0 * periods[0]:.6f}, '
+        f"starts = {[round(float(one), 6) for one in periods]}, held = true }}\n"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "other-laws.toml"
+        path.write_text("\n".join([*entries, riders]), encoding="utf-8")
+        return read_effects(path, origin="")
+
+
+def _entry(name: str, kinds: str, left: str, terms: Sequence[str]) -> str:
+    """Return a sum of terms as an entry of a file of effects: a size for each."""
+    law = " + ".join(f"size_{n}*{one}" for n, one in enumerate(terms))
+    quantities = [
+        "inertia" if "acceleration" in one else "signal" if left == "y" else "force" for one in terms
+    ]
+    sizes = [
+        f'parameters.size_{n} = {{ quantity = "{one}", neutral = 0.0, lower = -10.0, upper = 10.0, starts = [0.0] }}'
+        for n, one in enumerate(quantities)
+    ]
+    helpers = {key: value for key, value in _HELPERS.items() if re.search(rf"\b{key}\b", law)}
+    scales = [
+        f'parameters.{key} = {{ quantity = "{one}", lower = 0.5, upper = 2.0, starts = [1.0], held = true }}'
+        for key, one in _SCALES.items()
+        if f"/{key}" in law + " ".join(helpers.values())
+    ]
+    where = ", ".join(f'{key} = "{value}"' for key, value in helpers.items())
+    return "\n".join([
+        f"[{name}]", 'title = "A series."', f"kind = {kinds}", f'{left} = "{"signal + " * (left == "y")}{law}"',
+        f"where = {{ {where} }}", 'source = "a series"', *sizes, *scales, "",
+    ])  # fmt: skip
+
+
+def _laws(problem: Problem, z: FloatArray) -> Iterator[tuple[Site, Scale, AttachedEffect]]:
+    """Return every law, in every shape, at every site it fits."""
+    scales = site_scales(problem, z)
+    longest_s = max(float(one.time_s[-1] - one.time_s[0]) for one in problem.data.trials)
+    for site in problem.model.places:
+        scale = scales.get((site.kind, site.name))
+        if scale is None:
+            continue
+        for effect in _library():
+            if effect.fits(site, scale):
+                whole = {"T": longest_s} if "t" in effect.arguments else {}
+                for shape in _shapes(effect, scale):
+                    yield site, scale, effect.attach(site.name, scale, **whole, **shape)
+
+
+def _shapes(effect: Effect, scale: Scale) -> list[dict[str, float]]:
+    """Return all starts of its shape, by name; of none, one without."""
+    return [
+        {one.name: start} for one in effect.parameters if one.shape for start in one.start_values(scale)
+    ] or [{}]
+
+
+def _columns(base: Base, scale: Scale, law: AttachedEffect) -> FloatArray:
+    """Return what the terms of a law change of the residual, less what all that is fitted imitates, (rows, terms)."""
+    problem = base.problem
+    added = problem.with_effects([law], [scale])
+    terms = added.size - problem.size
+    start = np.insert(base.z, problem.size, np.zeros(terms))
+    jacobian = added.jacobian(start, base.residual, central=False, beside=base.nuisance.jacobian)
+    return base.nuisance.remainder([one[:, problem.size :] for one in jacobian.shared])
+
+
+def _predicted(columns: FloatArray, rest: FloatArray, fold: NDArray[np.intp]) -> float:
+    """Return the part of the rest that terms predict in folds they were not fitted to; 0 if they are not finite."""
+    if not np.all(np.isfinite(columns)):
+        return 0.0
+    norms = np.linalg.norm(columns, axis=0)
+    seen = norms > 1e-9 * np.max(norms, initial=1e-300)
+    unit = columns[:, seen] / norms[seen]
+    whole, answer = unit.T @ unit, unit.T @ rest
+    ridge = 1e-3 * np.eye(len(whole))
+    left = total = 0.0
+    for one in range(int(fold.max()) + 1):
+        test = fold == one
+        inside, wanted = unit[test], rest[test]
+        found = np.linalg.solve(whole - inside.T @ inside + ridge, answer - inside.T @ wanted)
+        left += float(np.sum(np.square(wanted - inside @ found)))
+        total += float(np.sum(np.square(wanted)))
+    return 1.0 - left / total if total > 0.0 else 0.0
+
+
+def _is_own(problem: Problem, site: Site, law: Effect) -> bool:
+    """Tell whether a law has no other arguments than a cause at its site; those in Python may have any."""
+    return any(
+        one.site == site.name
+        and one.effect.kind == site.kind
+        and (not one.effect.arguments or (law.arguments <= one.effect.arguments and not law.states))
+        for one in problem.effects
+    )
+
+
+def _kept(problem: Problem, z: FloatArray, end: FloatArray) -> float:
+    """Return the part of its size that the cause keeps that keeps most; levels have no size that could go."""
+    variable, kept = problem.size, [0.0]
+    for one in reversed(problem.effects):
+        free = [parameter for parameter in one.effect.parameters if not parameter.held]
+        variable -= len(free)
+        sizes = [n for n, parameter in enumerate(free, variable) if parameter.neutral == 0.0]
+        kept.append(float(end[sizes] @ z[sizes] / (z[sizes] @ z[sizes])) if np.any(z[sizes]) else 1.0)
+    return max(kept)

@@ -1,0 +1,82 @@
+"""A cause that stands in for something else is not needed beside that; a right one is, whatever explains its rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from labrun.effects import load_effect
+from labrun.gap.averaging import averaged
+from labrun.gap.candidates import site_scales
+from labrun.gap.other_laws import needless_beside
+from labrun.gap.recalibration import recalibrate
+from labrun.gap.screening import refit
+
+from .benches import TRUE, pendulum, recorded
+
+RIDER = 0.15 * TRUE["inertia"], 2 * np.pi * 3.5, 0.02
+"""Inertia, angular frequency and damping ratio of what rides on the hinge: twice to six times as fast as it swings."""
+
+
+def with_a_rider(data):
+    """Return the recording with what the pendulum does that carries a mass on a spring."""
+    mass, natural, ratio = RIDER
+
+    def angle_of(time_s, torque):
+        def slope(t, x):
+            angle, rate, own, own_rate = x
+            pull = natural**2 * (own - angle) + 2 * ratio * natural * (own_rate - rate)
+            force = float(np.interp(t, time_s, torque)) + mass * pull - TRUE["stiffness"] * angle
+            force -= TRUE["damping"] * rate + TRUE["gravity"] * np.sin(angle)
+            return [rate, force / TRUE["inertia"], own_rate, -pull]
+
+        course = solve_ivp(
+            slope, (time_s[0], time_s[-1]), [0.0] * 4, t_eval=time_s, rtol=1e-7, atol=1e-9, max_step=0.01
+        )
+        return course.y[0]
+
+    rng = np.random.default_rng(1)
+    angles = {one.condition["frequency_hz"]: angle_of(one.time_s, one.inputs[:, 0]) for one in data.trials}
+    trials = []
+    for one in data.trials:
+        angle = angles[one.condition["frequency_hz"]]
+        trials.append(replace(one, outputs=(angle + 1e-3 * rng.standard_normal(len(angle)))[:, None]))
+    return replace(data, trials=tuple(trials))
+
+
+def made_needless(data, cause):
+    """Return beside what a cause at the hinge is not needed, once it is fitted to a recording."""
+    model = pendulum()
+    found = recalibrate(model, averaged(data, model), np.random.default_rng(0), lambda _: None)
+    scale = site_scales(found.problem, found.z)["joint", "hinge"]
+    attached = load_effect(cause, "joint").attach("hinge", scale)
+    problem = found.problem.with_effects([attached], [scale])
+    sizes = [one.starts[0] for one in attached.effect.parameters if not one.held]
+    end = refit(problem, np.insert(found.z, found.problem.size, sizes))
+    return needless_beside(problem, end, found.noise)
+
+
+def test_an_inertia_that_stands_in_for_a_mass_on_a_spring_is_not_needed_beside_one():
+    data = with_a_rider(recorded(noise=1e-3))
+    assert made_needless(data, "added-inertia") == "a mass on a spring that rides at hinge"
+
+
+@pytest.mark.parametrize(
+    "beside",
+    [
+        lambda t, q, v: -0.01 * q**3,
+        lambda t, q, v: 1e-3 * t**2,
+        lambda t, q, v: -2e-4 * t * v,
+    ],
+    ids=["a law of position", "a force of time", "a damper that changes"],
+)
+def test_a_right_cause_is_needed_beside_whatever_explains_what_it_leaves(beside):
+    friction = 5e-3
+    data = recorded(lambda t, q, v: -friction * float(np.tanh(v / 0.02)) + beside(t, q, v), noise=1e-3)
+    assert made_needless(data, "coulomb-friction") == ""
+
+
+def test_where_the_rest_is_a_law_of_the_causes_own_arguments_its_form_is_another_one_and_it_is_no_stand_in():
+    data = recorded(lambda t, q, v: -2e-5 * v**3, noise=1e-3)
+    assert made_needless(data, "quadratic-drag") == ""
