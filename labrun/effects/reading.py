@@ -117,13 +117,17 @@ class _Entry(Table):
         return names - {*self.parameters, *self.where, *self.rates}
 
 
-def read_effects(path: str | Path, *, origin: str | None = None) -> tuple[Effect, ...]:
+def read_effects(
+    path: str | Path, *, text: str | None = None, origin: str | None = None
+) -> tuple[Effect, ...]:
     """Return the effects of a TOML file, one for each entry and kind of site.
 
     Parameters
     ----------
     path
         The file; see docs/add-a-model.md and ``labrun/effects/*.toml``.
+    text
+        What it holds, where it is not written.
     origin
         How files of models are to name it; None for its path.
 
@@ -133,7 +137,7 @@ def read_effects(path: str | Path, *, origin: str | None = None) -> tuple[Effect
         All that does not hold, each with file, line and key.
     """
     path = Path(path)
-    text = text_of(path, kind=ModelError)
+    text = text_of(path, kind=ModelError) if text is None else text
     data = parsed(text, str(path), kind=ModelError)
     shared, found, faults = data.get("shared", {}), [], []
     for id_, table in data.items():

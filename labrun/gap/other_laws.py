@@ -6,11 +6,9 @@ what the stand-in explained, too, and it goes. So goes an inertia that stood for
 """
 
 import re
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,10 +116,7 @@ def _library() -> tuple[Effect, ...]:
         f'{_RIDER}period = {{ quantity = "time", lower = {periods[-1] / 2.0:.6f}, upper = {2.0 * periods[0]:.6f}, '
         f"starts = {[round(float(one), 6) for one in periods]}, held = true }}\n"
     )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "other-laws.toml"
-        path.write_text("\n".join([*entries, riders]), encoding="utf-8")
-        return read_effects(path, origin="")
+    return read_effects("other-laws.toml", text="\n".join([*entries, riders]), origin="")
 
 
 def _entry(name: str, kinds: str, left: str, terms: Sequence[str]) -> str:

@@ -1,10 +1,8 @@
 """A law for what the library lacks: sparse regression of the rest on products of coordinate, rate, load and input."""
 
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -244,10 +242,7 @@ def _toml(site: Site, formulas: Sequence[str], model: str) -> str:
 
 
 def _read(text: str) -> Effect:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{NAME}.toml"
-        path.write_text(text, encoding="utf-8")
-        return read_effects(path)[0]
+    return read_effects(f"{NAME}.toml", text=text)[0]
 
 
 def folds_of_rows(problem: Problem, lengths: Sequence[int], rows: int) -> NDArray[np.intp]:
