@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.arrays import FloatArray
+from labrun.arrays import FloatArray, IntArray
 from labrun.effects import AttachedEffect, Scale
 from labrun.errors import FitError
 from labrun.fit.dataset import Dataset, FitTrial
@@ -148,13 +148,13 @@ class Problem:
 
     @property
     def substeps(self) -> int:
-        """Steps of the integrator per sample, in the trial that takes most of them."""
+        """Steps of the integrator per sample, where most of them are taken."""
         return max(drive.substeps for drive in self.drives)
 
     @property
-    def steps(self) -> tuple[int, ...]:
-        """Steps of the integrator per sample, trial by trial."""
-        return tuple(drive.substeps for drive in self.drives)
+    def steps(self) -> tuple[IntArray, ...]:
+        """Steps of the integrator in every interval between samples, trial by trial."""
+        return tuple(drive.grid.counts for drive in self.drives)
 
     @cached_property
     def states(self) -> InitialStates:
@@ -216,13 +216,21 @@ class Problem:
         """Return the problem with so many of the integrator's steps per sample, in every trial alike."""
         return self.with_steps([substeps] * len(self.drives))
 
-    def with_steps(self, steps: Sequence[int]) -> Self:
-        """Return the problem with so many of the integrator's steps per sample, trial by trial."""
-        drives = tuple(
-            drive if drive.substeps == count else prepare(self.model, trial.time_s, trial.inputs, count)
-            for drive, trial, count in zip(self.drives, self.data.trials, steps, strict=True)
-        )
-        return replace(self, drives=drives)
+    def with_steps(self, steps: Sequence[int | IntArray]) -> Self:
+        """Return the problem with so many of the integrator's steps per sample, trial by trial; itself if it has them.
+
+        A trial may have another number in each interval between its samples.
+        """
+        drives = list(self.drives)
+        for index, (trial, count) in enumerate(zip(self.data.trials, steps, strict=True)):
+            if np.any(drives[index].grid.counts != count):
+                drives[index] = prepare(self.model, trial.time_s, trial.inputs, count)
+        return self.with_drives(drives)
+
+    def with_drives(self, drives: Sequence[Drive]) -> Self:
+        """Return the problem with its inputs on other steps of the integrator; itself if they are its own."""
+        same = all(one is other for one, other in zip(self.drives, drives, strict=True))
+        return self if same else replace(self, drives=tuple(drives))
 
     def in_steps_of(self, other: "Problem") -> Self:
         """Return the problem in the steps of another one of the same trials."""
@@ -279,9 +287,9 @@ class Problem:
         )
         return self if needed == self.substeps else self.with_substeps(needed)
 
-    def finer_steps(self, factor: int, most: int) -> tuple[int, ...]:
-        """Return the steps of every trial so many times shortened, of those that have fewer than `most` per sample."""
-        return tuple(factor * count if count < most else count for count in self.steps)
+    def finer_steps(self, factor: int, most: int) -> tuple[IntArray, ...]:
+        """Return the steps so many times shortened in every interval that has fewer than `most` of them."""
+        return tuple(np.where(counts < most, factor * counts, counts) for counts in self.steps)
 
     # --- simulation and residuals -----------------------------------------------------------------------------------
 
@@ -556,9 +564,10 @@ def channel_spread(data: Dataset) -> FloatArray:
 
 def _cut(drive: Drive, trial: FitTrial) -> Drive:
     """Return the inputs of the first part of a trial."""
-    steps = (len(trial.time_s) - 1) * drive.substeps
+    grid = drive.grid.beginning(len(trial.time_s))
+    steps = int(grid.rows[-1])
     last = drive.u[steps, 0] if steps < len(drive.u) else drive.u_last
-    return replace(drive, time_s=trial.time_s, steps_s=drive.steps_s[:steps], u=drive.u[:steps], u_last=last)
+    return Drive(trial.time_s, drive.steps_s[:steps], drive.u[:steps], last, grid)
 
 
 def _difference_quotient(

@@ -73,7 +73,7 @@ def resolved(base: Base, screened: Screened) -> Screened:
     """Return a candidate fitted with steps of the integrator as short as its force asks for.
 
     The base's steps do for the base: friction that holds a joint still, or a stiff stop, wants shorter ones in the
-    trials where it acts, and is fitted again with them.
+    trials, and near the reversals, where it acts, and is fitted again with them.
     """
     while screened.candidate.attached is not None:
         problem = screened.problem

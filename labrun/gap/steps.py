@@ -1,13 +1,14 @@
-"""The integrator's steps, trial by trial: as short as what acts there asks for, and no shorter."""
+"""The integrator's steps, interval by interval: as short as what acts there asks for, and no shorter."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from labrun.arrays import FloatArray
+from labrun.arrays import FloatArray, IntArray
 from labrun.fit import Problem
 from labrun.gap import criteria
+from labrun.models import Drive, simulate
 
 
 def in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatArray] | None]:
@@ -16,15 +17,17 @@ def in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatAr
     What is quick beside the integrator's steps, such as a short delay in a loop or a stiff force, wants shorter ones.
     """
     there = problem.finite_residuals(z)
-    if there is None and min(problem.steps) < criteria.FINEST:
+    if there is None:
         finer = problem.with_steps(problem.finer_steps(criteria.FINER, criteria.FINEST))
-        there = finer.finite_residuals(z)
+        there = None if finer is problem else finer.finite_residuals(z)
         problem = problem if there is None else finer
     return problem, there
 
 
 def in_shorter_steps(problem: Problem, z: FloatArray, moved: float) -> Problem:
-    """Return the problem in shorter steps in the trials that ask for them at `z`; itself if none do.
+    """Return the problem in shorter steps in the trials that ask for them at `z`, and there where they matter.
+
+    The problem itself is returned if none do.
 
     Parameters
     ----------
@@ -32,48 +35,97 @@ def in_shorter_steps(problem: Problem, z: FloatArray, moved: float) -> Problem:
         What shorter steps may change the sum of squares by.
     """
     finer = problem.with_steps(problem.finer_steps(criteria.FINER, criteria.FINEST))
-    if finer.steps == problem.steps:
+    if finer is problem:
         return problem
-    change = _squares_by_trial(finer, z) - _squares_by_trial(problem, z)
+    fine = _squares_by_trial(finer, z)
+    change = fine - _squares_by_trial(problem, z)
     if abs(np.sum(change)) < moved:
         return problem
-    return _in_steps_where(problem, finer, change, criteria.STEPS_STAY * moved)
+    stays = _staying(change, criteria.STEPS_STAY * moved)
+    allowed = criteria.STEPS_STAY * moved / max(int(np.sum(~stays)), 1)
+    drives = (
+        drive if stay else _short_where_it_matters(problem, finer, z, index, float(fine[index]), allowed)
+        for index, (drive, stay) in enumerate(zip(problem.drives, stays, strict=True))
+    )
+    return problem.with_drives(list(drives))
 
 
-def in_longer_steps(problem: Problem, z: FloatArray, fewest: Sequence[int]) -> Problem:
+def in_longer_steps(problem: Problem, z: FloatArray, fewest: Sequence[IntArray]) -> Problem:
     """Return the problem in longer steps in the trials that do not ask for those they have at `z`; itself if all do.
 
     Parameters
     ----------
     fewest : per trial
-        Steps per sample that it takes at least.
+        Steps that it takes at least in every interval between samples.
     """
-    steps = [max(count // criteria.FINER, least) for count, least in zip(problem.steps, fewest, strict=True)]
-    coarser = problem.with_steps(steps)
-    if coarser.steps == problem.steps:
+    pairs = zip(problem.steps, fewest, strict=True)
+    coarser = problem.with_steps([np.maximum(counts // criteria.FINER, least) for counts, least in pairs])
+    if coarser is problem:
         return problem
     before = _squares_by_trial(problem, z)
     change, moved = _squares_by_trial(coarser, z) - before, criteria.STEPS_DO * float(np.sum(before))
     if abs(np.sum(change)) <= moved:
         return coarser
-    found = _in_steps_where(coarser, problem, change, criteria.STEPS_STAY_IN_BASE * moved)
-    return problem if found.steps == problem.steps else found
+    stays = _staying(change, criteria.STEPS_STAY_IN_BASE * moved)
+    both = zip(coarser.drives, problem.drives, stays, strict=True)
+    return problem.with_drives([longer if stay else mine for longer, mine, stay in both])
 
 
-def _in_steps_where(problem: Problem, other: Problem, change: FloatArray, moved: float) -> Problem:
-    """Return the problem in the steps of another one, but for trials that together change by no more than `moved`.
-
-    Parameters
-    ----------
-    change : (trials,)
-        What the steps of the other change the sum of squares of each trial by.
-    """
+def _staying(change: FloatArray, moved: float) -> NDArray[np.bool_]:
+    """Tell which trials together change the sum of squares by no more than `moved`: those that change it least."""
     size = np.abs(change)
     order = np.argsort(size)
     stays = np.empty(len(size), dtype=bool)
     stays[order] = np.cumsum(size[order]) <= moved
-    drives = zip(problem.drives, other.drives, stays, strict=True)
-    return replace(problem, drives=tuple(mine if stay else theirs for mine, theirs, stay in drives))
+    return stays
+
+
+def _short_where_it_matters(
+    problem: Problem, finer: Problem, z: FloatArray, index: int, fine: float, allowed: float
+) -> Drive:
+    """Return a trial's inputs on the finer steps in as few intervals as do: its squares differ by what is allowed.
+
+    Parameters
+    ----------
+    fine
+        Its squares in the finer steps throughout.
+    """
+    mine, finest = problem.steps[index], finer.steps[index]
+    asking = np.where(finest > mine, _asking(problem, finer, z, index), -1.0)
+    order = np.argsort(-asking, kind="stable")
+    beside = np.arange(-criteria.SHORT_BESIDE, criteria.SHORT_BESIDE + 1)
+    only, there = problem.part([index]), np.concatenate([z[: problem.size], problem.own(z, index)])
+    for part in criteria.SHORT_PARTS if np.isfinite(asking).all() else ():
+        short = order[: int(np.ceil(part * len(order))), None] + beside
+        short, counts = np.clip(short, 0, len(order) - 1), mine.copy()
+        counts[short] = finest[short]
+        mixed = only.with_steps([counts])
+        if abs(_squares_by_trial(mixed, there)[0] - fine) <= allowed:
+            return mixed.drives[0]
+    return finer.drives[index]
+
+
+def _asking(problem: Problem, finer: Problem, z: FloatArray, index: int) -> FloatArray:
+    """Return by how much the finer steps change a trial's states in every interval, in units of what they pass."""
+    fine = _course(finer, z, index)
+    apart = np.abs(np.diff(fine - _course(problem, z, index), axis=0))
+    reach = np.ptp(fine, axis=0)
+    return np.asarray(np.max(apart / np.where(reach > 0, reach, 1.0), axis=1, initial=0.0))
+
+
+def _course(problem: Problem, z: FloatArray, index: int) -> FloatArray:
+    """Return a trial's states, or its outputs where the model has none."""
+    parameters = problem.parameters(z)
+    simulation = simulate(
+        problem.model,
+        problem.data.trials[index].time_s,
+        problem.drives[index],
+        parameters=parameters[: len(problem.model.parameters)],
+        condition=problem.data.trials[index].condition,
+        initial_state=problem.initial_state(index, problem.own(z, index)),
+        effects=problem.attached(parameters),
+    )
+    return simulation.states if problem.model.states else simulation.outputs
 
 
 def _squares_by_trial(problem: Problem, z: FloatArray) -> FloatArray:

@@ -4,10 +4,12 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray, IntArray
 from labrun.compiled import is_generated
@@ -238,6 +240,39 @@ _UNEVEN = 0.02
 """Relative spread of sample intervals up to which a signal counts as evenly sampled (rounded or jittered stamps)."""
 
 
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """How the intervals between samples are divided into the integrator's steps.
+
+    Attributes
+    ----------
+    counts : (samples - 1,)
+        Steps in each interval, all of one length.
+    """
+
+    counts: IntArray
+
+    @cached_property
+    def rows(self) -> IntArray:
+        """The step that begins at each sample, and behind them the number of all steps, shape (samples,)."""
+        return np.concatenate([[0], np.cumsum(self.counts)])
+
+    @cached_property
+    def pairs(self) -> NDArray[np.bool_]:
+        """Whether a step and the next may be taken as one, shape (steps,): both of an interval of an even number."""
+        number = np.arange(self.rows[-1]) - np.repeat(self.rows[:-1], self.counts)
+        return np.asarray((number % 2 == 0) & np.repeat(self.counts % 2 == 0, self.counts))
+
+    @cached_property
+    def most(self) -> int:
+        """Steps in the interval that has most of them."""
+        return int(np.max(self.counts, initial=1))
+
+    def beginning(self, samples: int) -> "Grid":
+        """Return the grid of the first samples."""
+        return Grid(self.counts[: samples - 1])
+
+
 @dataclass(frozen=True)
 class Drive:
     """Inputs on the integrator's steps.
@@ -251,8 +286,8 @@ class Drive:
         At start, middle and end of each step; the end of one and the start of the next differ where an input jumps.
     u_last : (inputs,)
         At the last sample.
-    substeps
-        Steps in each interval between samples.
+    grid
+        How many steps there are in each interval between samples.
     ahead
         The same inputs as they were last read ahead, by what was read by how much: a model's own clock stays.
     """
@@ -261,7 +296,7 @@ class Drive:
     steps_s: FloatArray
     u: FloatArray
     u_last: FloatArray
-    substeps: int
+    grid: Grid
     ahead: dict[object, FloatArray] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @property
@@ -270,8 +305,15 @@ class Drive:
         first: FloatArray = self.u[0, 0] if len(self.u) else self.u_last
         return first
 
+    @property
+    def substeps(self) -> int:
+        """Steps in the interval between samples that has most of them."""
+        return self.grid.most
 
-def drive(time_s: FloatArray, inputs: FloatArray, between: Sequence[Between], substeps: int) -> Drive:
+
+def drive(
+    time_s: FloatArray, inputs: FloatArray, between: Sequence[Between], substeps: int | IntArray
+) -> Drive:
     """Lay the inputs of one trial on the integrator's steps.
 
     Parameters
@@ -281,6 +323,8 @@ def drive(time_s: FloatArray, inputs: FloatArray, between: Sequence[Between], su
     inputs : (samples, inputs)
     between
         How each input runs between its samples.
+    substeps : (samples - 1,)
+        Steps in each interval; a number stands for all of them.
 
     Raises
     ------
@@ -297,33 +341,40 @@ def drive(time_s: FloatArray, inputs: FloatArray, between: Sequence[Between], su
     _check(time_s, values, len(between), substeps)
     intervals = time_s[1:] - time_s[:-1]
     _check_times(time_s, intervals)
-    steps_s = np.repeat(intervals / substeps, substeps) if substeps > 1 else intervals
-    u = np.empty((len(intervals), substeps, 3, len(between)))
-    for index, kind in enumerate(between):
-        column = values[:, index]
-        if kind == "hold":
-            u[..., index] = column[:-1, None, None]
-            continue
-        fractions = np.arange(2 * substeps + 1) / (2 * substeps)
-        grid = (
-            column[:-1, None] * (1 - fractions) + column[1:, None] * fractions
-            if kind == "linear"
-            else _band_limited(time_s, column, fractions)
-        )
-        for place in range(3):
-            u[:, :, place, index] = grid[:, place : 2 * substeps - 1 + place : 2]
-    return Drive(time_s, steps_s, u.reshape(len(steps_s), 3, len(between)), values[-1].copy(), substeps)
+    grid = Grid(np.array(np.broadcast_to(substeps, len(intervals)), dtype=np.int64))
+    steps_s = np.repeat(intervals / grid.counts, grid.counts)
+    u = np.empty((len(steps_s), 3, len(between)))
+    for count in np.unique(grid.counts).tolist():
+        alike = np.flatnonzero(grid.counts == count)
+        steps = grid.rows[alike, None] + np.arange(count)
+        fractions = np.arange(2 * count + 1) / (2 * count)
+        for index, kind in enumerate(between):
+            course = _course(time_s, values[:, index], kind, fractions)[alike]
+            for place in range(3):
+                u[steps, place, index] = course[:, place : 2 * count - 1 + place : 2]
+    return Drive(time_s, steps_s, u, values[-1].copy(), grid)
 
 
-def _check(time_s: FloatArray, values: FloatArray, inputs: int, substeps: int) -> None:
+def _course(time_s: FloatArray, values: FloatArray, kind: Between, fractions: FloatArray) -> FloatArray:
+    """Return a signal at fractions of every interval between its samples, shape (intervals, fractions)."""
+    if kind == "hold":
+        return np.repeat(values[:-1, None], len(fractions), axis=1)
+    if kind == "linear":
+        return np.asarray(values[:-1, None] * (1 - fractions) + values[1:, None] * fractions)
+    return _band_limited(time_s, values, fractions)
+
+
+def _check(time_s: FloatArray, values: FloatArray, inputs: int, substeps: int | IntArray) -> None:
     if time_s.ndim != 1 or len(time_s) < 1:
         raise ModelError(f"a simulation needs at least one time; time_s has shape {time_s.shape}")
     if values.shape != (len(time_s), inputs):
         raise ModelError(
             f"{inputs} inputs at {len(time_s)} times were expected; the values have shape {values.shape}"
         )
-    if substeps < 1:
-        raise ModelError(f"substeps must be 1 or more, not {substeps}")
+    if np.ndim(substeps) and np.shape(substeps) != (len(time_s) - 1,):
+        raise ModelError(f"{len(time_s) - 1} intervals have steps; substeps has shape {np.shape(substeps)}")
+    if np.min(substeps, initial=1) < 1:
+        raise ModelError(f"substeps must be 1 or more, not {np.min(substeps)}")
     if values.size and not np.isfinite(values).all():
         row, column = np.argwhere(~np.isfinite(values))[0]
         raise ModelError(f"input {column} is not finite at sample {row} (t = {time_s[row]:g} s)")
@@ -345,7 +396,7 @@ def _band_limited(time_s: FloatArray, values: FloatArray, fractions: FloatArray)
     last `_REACH` samples contain near the Nyquist frequency is therefore a guess. A constant stays exactly constant.
     """
     if len(values) < 3:
-        return np.asarray(values[:-1, None] * (1 - fractions) + values[1:, None] * fractions)
+        return _course(time_s, values, "linear", fractions)
     intervals = np.diff(time_s)
     spread = np.max(np.abs(intervals - intervals.mean())) / intervals.mean()
     if spread > _UNEVEN:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from labrun.arrays import FloatArray
+from labrun.arrays import FloatArray, IntArray
 from labrun.effects import AttachedEffect
 from labrun.errors import ModelError
 from labrun.models.ahead import inputs_ahead, read_outputs_ahead
@@ -31,7 +31,7 @@ class Simulation:
     finite
         False when it blew up; rows from there on are NaN.
     substeps
-        Integration steps per sample interval.
+        Integration steps in the sample interval that has most of them.
     """
 
     outputs: FloatArray
@@ -111,15 +111,15 @@ class Unfiltered:
     outputs, states : (steps + 1, ...)
     written
         Rows that are finite.
-    every
-        How many steps there are from row to row.
+    each_step
+        Whether there is a row for each step, not for the samples alone.
     """
 
     driven: Drive
     outputs: FloatArray
     states: FloatArray
     written: int
-    every: int
+    each_step: bool
 
 
 def simulate_unfiltered(
@@ -133,7 +133,7 @@ def simulate_unfiltered(
 ) -> Unfiltered:
     """Simulate one trial up to the effects at its outputs, which `filtered` adds; arguments as for `simulate`."""
     p = model.vector(parameters, condition or {})
-    return _integrated(model, driven, p, _checked_state(model, initial_state), effects, every=1)
+    return _integrated(model, driven, p, _checked_state(model, initial_state), effects, each_step=True)
 
 
 def filtered(model: Model, before: Unfiltered, effects: Sequence[AttachedEffect]) -> Simulation:
@@ -150,8 +150,8 @@ def filtered(model: Model, before: Unfiltered, effects: Sequence[AttachedEffect]
             else:
                 _filter(model, outputs, driven.steps_s, effects, tuple(group))
         finite = bool(np.isfinite(outputs).all())
-    if before.every != driven.substeps:
-        states, outputs = states[:: driven.substeps], outputs[:: driven.substeps]
+    if before.each_step and driven.substeps > 1:
+        states, outputs = states[driven.grid.rows], outputs[driven.grid.rows]
     return Simulation(outputs, states, finite, driven.substeps)
 
 
@@ -169,8 +169,11 @@ def _filter(
     filter_outputs(outputs, np.empty((after.addresses.size, len(model.outputs))), steps_s, *after, False)
 
 
-def prepare(model: Model, time_s: FloatArray, inputs: FloatArray, substeps: int) -> Drive:
-    """Lay a trial's inputs on the integrator's steps once, to simulate it many times."""
+def prepare(model: Model, time_s: FloatArray, inputs: FloatArray, substeps: int | IntArray) -> Drive:
+    """Lay a trial's inputs on the integrator's steps once, to simulate it many times.
+
+    `substeps` may be a number for each interval between samples: short steps where something turns sharply.
+    """
     return drive(time_s, inputs, [one.between for one in model.inputs], substeps)
 
 
@@ -227,8 +230,9 @@ def _checked_state(model: Model, initial_state: ArrayLike) -> FloatArray:
 def _run(
     model: Model, driven: Drive, p: FloatArray, initial_state: FloatArray, effects: Sequence[AttachedEffect]
 ) -> Simulation:
-    every = 1 if layout(model, (*model.effects, *effects)).after else driven.substeps
-    return filtered(model, _integrated(model, driven, p, initial_state, effects, every=every), effects)
+    each_step = bool(layout(model, (*model.effects, *effects)).after)
+    before = _integrated(model, driven, p, initial_state, effects, each_step=each_step)
+    return filtered(model, before, effects)
 
 
 def _integrated(
@@ -238,7 +242,7 @@ def _integrated(
     initial_state: FloatArray,
     effects: Sequence[AttachedEffect],
     *,
-    every: int,
+    each_step: bool,
 ) -> Unfiltered:
     from labrun.models.engine import integrate
 
@@ -252,19 +256,20 @@ def _integrated(
         else:
             u, u_last = _filter_inputs(model, u, u_last, steps_s, effects, tuple(group))
 
-    rows = steps_s.size // every + 1
-    states = np.empty((rows, own + laws.states))
-    outputs = np.empty((rows, len(model.outputs)))
+    grid = driven.grid
+    rows = np.arange(steps_s.size + 1) if each_step else grid.rows
+    states = np.empty((rows.size, own + laws.states))
+    outputs = np.empty((rows.size, len(model.outputs)))
     state = np.zeros(own + laws.states)
     state[:own] = initial_state
     written = integrate(
-        float(driven.time_s[0]), steps_s, u, u_last, every, False, driven.substeps % 2 == 0, p,
+        float(driven.time_s[0]), steps_s, u, u_last, rows, False, grid.pairs, p,
         found.derivative, found.output, laws.site_values, laws.coupled, laws.sites, laws.laws,
         law_values(found, effects), np.zeros(laws.scratch), state, states, outputs,
     )  # fmt: skip
-    if written < rows:
+    if written < rows.size:
         states[written:], outputs[written:] = np.nan, np.nan
-    return Unfiltered(driven, outputs, states[:, :own] if laws.states else states, written, every)
+    return Unfiltered(driven, outputs, states[:, :own] if laws.states else states, written, each_step)
 
 
 def _filter_inputs(
@@ -428,7 +433,7 @@ class Stepper:
         states = np.empty((count + 1, self._all.size))
         outputs = np.empty((count + 1, len(self.model.outputs)))
         written = integrate(
-            self.time_s, steps_s, u, u[-1, 2].copy(), 1, True, False, self._p,
+            self.time_s, steps_s, u, u[-1, 2].copy(), np.arange(count + 1), True, np.zeros(count, dtype=bool), self._p,
             self._layout.derivative, self._layout.output, laws.site_values, laws.coupled, laws.sites, laws.laws,
             self._values, np.zeros(laws.scratch), self._all, states, outputs,
         )  # fmt: skip

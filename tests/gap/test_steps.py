@@ -1,10 +1,11 @@
-"""Every trial takes as many of the integrator's steps as what acts in it asks for."""
+"""Every interval of a trial takes as many of the integrator's steps as what acts there asks for."""
 
 import numpy as np
 import pytest
 
 from labrun.effects import Scale, load_effect
 from labrun.fit import Problem
+from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name
@@ -21,24 +22,90 @@ FAR = 1
 @pytest.fixture(scope="module")
 def stopped() -> tuple[Problem, np.ndarray]:
     """Return a problem with a hard stop that one of two conditions reaches, and where it stands."""
-    model: Model = pendulum()
-    problem = stated_problem(model, averaged(recorded(repeats=1, conditions=CONDITIONS[:2]), model))
-    z = problem.priors.stated
-    reach = [float(np.max(np.abs(one))) for one in problem.simulated(z)]
+    problem = _swinging()
+    reach = [float(np.max(np.abs(one))) for one in problem.simulated(problem.priors.stated)]
     assert reach[FAR] > 1.2 * reach[1 - FAR]
     level = 0.5 * sum(reach)
-    attached = load_effect("end-stop").attach("hinge", upper=level, lower=-level, stiffness=200.0)
-    candidate = Candidate(Name("end-stop", "hinge"), attached, Scale(), ())
+    return _beside(problem, "end-stop", upper=level, lower=-level, stiffness=200.0)
+
+
+def _swinging() -> Problem:
+    model: Model = pendulum()
+    return stated_problem(model, averaged(recorded(repeats=1, conditions=CONDITIONS[:2]), model))
+
+
+def _beside(problem: Problem, effect: str, **sizes: float) -> tuple[Problem, np.ndarray]:
+    """Return the problem with an effect of these sizes, and where it stands."""
+    candidate = Candidate(Name(effect, "hinge"), load_effect(effect).attach("hinge", **sizes), Scale(), ())
     beside = candidate.added_to(problem)
     free = beside.priors.values[beside.priors.free] / beside.priors.scale
-    return beside, np.concatenate([free, problem.own_states(z)])
+    return beside, np.concatenate([free, problem.own_states(problem.priors.stated)])
+
+
+def _squares(problem: Problem, z: np.ndarray) -> np.ndarray:
+    return np.array([float(one @ one) for one in problem.residuals(z)])
 
 
 def test_steps_are_shortened_in_the_trials_alone_where_that_changes_anything(stopped) -> None:
     problem, z = stopped
     finer = in_shorter_steps(problem, z, 1e-4 * problem.squares(z))
-    assert finer.steps[FAR] > problem.steps[FAR]
-    assert finer.steps[1 - FAR] == problem.steps[1 - FAR]
+    assert np.max(finer.steps[FAR]) > np.max(problem.steps[FAR])
+    np.testing.assert_array_equal(finer.steps[1 - FAR], problem.steps[1 - FAR])
+
+
+@pytest.fixture(scope="module")
+def rubbing() -> tuple[Problem, np.ndarray]:
+    """Return a problem with dry friction that turns sharply, and where it stands."""
+    return _beside(_swinging(), "coulomb-friction", torque=1.2e-2, transition_speed=0.03, presliding=0.0)
+
+
+def test_steps_are_short_near_reversals_alone_where_friction_turns_sharply(rubbing) -> None:
+    problem, z = rubbing
+    moved = 1e-4 * problem.squares(z)
+    mixed = in_shorter_steps(problem, z, moved)
+    for counts, before, angle in zip(mixed.steps, problem.steps, mixed.simulated(z), strict=True):
+        short = counts > before
+        speed = np.abs(np.diff(angle[:, 0]))
+        assert 0.0 < np.mean(short) < 0.5
+        assert np.mean(speed[short]) < 0.5 * np.mean(speed[~short])
+
+
+def test_short_steps_in_some_intervals_leave_what_those_in_all_of_them_do(rubbing) -> None:
+    problem, z = rubbing
+    moved = 1e-4 * problem.squares(z)
+    everywhere = problem.with_steps(problem.finer_steps(criteria.FINER, criteria.FINEST))
+    fine, present = _squares(everywhere, z), _squares(problem, z)
+    mixed = in_shorter_steps(problem, z, moved)
+    assert abs(np.sum(fine - present)) > moved
+    assert abs(np.sum(fine - _squares(mixed, z))) <= moved
+    assert sum(len(one.steps_s) for one in mixed.drives) < 0.6 * sum(
+        len(one.steps_s) for one in everywhere.drives
+    )
+
+
+def test_short_steps_only_grow_until_shorter_ones_change_nothing(rubbing) -> None:
+    problem, z = rubbing
+    moved = 1e-4 * problem.squares(z)
+    for _ in range(200):
+        finer = in_shorter_steps(problem, z, moved)
+        if finer is problem:
+            break
+        pairs = list(zip(problem.steps, finer.steps, strict=True))
+        assert all(np.all(longer <= shorter) for longer, shorter in pairs)
+        assert any(np.any(longer < shorter) for longer, shorter in pairs)
+        problem = finer
+    assert in_shorter_steps(problem, z, moved) is problem
+
+
+def test_a_beginning_keeps_the_steps_of_its_intervals(rubbing) -> None:
+    problem, z = rubbing
+    mixed = in_shorter_steps(problem, z, 1e-4 * problem.squares(z))
+    begun, whole = mixed.beginning(0.3), mixed.simulated(z)
+    for counts, first, all_counts, outputs in zip(
+        begun.steps, begun.simulated(z), mixed.steps, whole, strict=True
+    ):
+        np.testing.assert_array_equal(counts, all_counts[: len(counts)])
+        assert first[:-1] == pytest.approx(outputs[: len(first) - 1], abs=1e-12)
 
 
 def test_steps_that_change_nothing_stay_as_they_are(stopped) -> None:
@@ -50,7 +117,14 @@ def test_steps_are_lengthened_again_in_the_trials_that_do_with_longer_ones(stopp
     problem, z = stopped
     finer = problem.with_substeps(16)
     longer = in_longer_steps(finer, z, problem.steps)
-    assert longer.steps[1 - FAR] < 16
+    assert np.max(longer.steps[1 - FAR]) < 16
+
+
+def test_intervals_that_were_shortened_are_lengthened_again_where_nothing_asks_for_them(stopped) -> None:
+    problem, z = stopped
+    some = [np.where(np.arange(len(counts)) < 50, 4 * counts, counts) for counts in problem.steps]
+    longer = in_longer_steps(problem.with_steps(some), z, problem.steps)
+    np.testing.assert_array_equal(longer.steps[1 - FAR], problem.steps[1 - FAR])
 
 
 def test_no_steps_are_longer_than_those_that_are_taken_at_least(stopped) -> None:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from labrun.effects import Effect, EffectParameter, force_law, load_effect
-from labrun.models import Drive, Input, Output, Parameter, Site, parse_model, prepare, python_model, simulate
+from labrun.models import Input, Output, Parameter, Site, parse_model, prepare, python_model, simulate
 
 PENDULUM_MODEL = parse_model(PENDULUM, "pendulum.toml")
 MODEL = parse_model(OSCILLATOR, "oscillator.toml")
@@ -82,7 +82,7 @@ def test_an_input_that_jumps_between_two_substeps_is_stepped_to_the_jump():
     drive = prepare(MODEL, TIME[:2], np.zeros((2, 1)), 2)
     u = drive.u.copy()
     u[1] = 1.0  # on from the middle of the only interval
-    jumping = Drive(drive.time_s, drive.steps_s, u, np.ones(1), 2)
+    jumping = dataclasses.replace(drive, u=u, u_last=np.ones(1))
     found = simulate(MODEL, TIME[:2], jumping, initial_state=[0.0, 0.0]).states[-1]
     half_s = 0.5 * (TIME[1] - TIME[0])
     later = simulate(

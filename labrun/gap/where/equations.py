@@ -109,7 +109,7 @@ def _unit(difference: Difference, index: int) -> tuple[FloatArray, ...] | None:
     if not simulation.finite:
         return None
     drive = difference.drives[index]
-    u = np.concatenate([drive.u[:: drive.substeps, 0], drive.u_last[None]])
+    u = np.concatenate([drive.u[drive.grid.rows[:-1], 0], drive.u_last[None]])
     states = np.ascontiguousarray(simulation.states)
     reach = np.maximum(np.ptp(states, axis=0), np.abs(states).max(axis=0))
     steps = _STEP * np.where(reach > 0, reach, 1.0)

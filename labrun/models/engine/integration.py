@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray, IntArray
 from labrun.compiled import IntPointer, Pointer, inlined, kernel
@@ -404,9 +405,9 @@ def integrate(
     steps_s: FloatArray,
     u: FloatArray,
     u_last: FloatArray,
-    every: int,
+    rows: IntArray,
     output_at_end: bool,
-    paired: bool,
+    pairs: NDArray[np.bool_],
     p: FloatArray,
     derivative: int,
     output: int,
@@ -429,19 +430,19 @@ def integrate(
         Inputs at start, middle and end of each step.
     u_last : (inputs,)
         Inputs at the last output.
-    every
-        Steps between two rows of `states` and `outputs`.
+    rows : (rows,)
+        The steps at whose beginning a row of `states` and `outputs` is written, from 0 to the number of steps.
     output_at_end
         Whether a row's outputs see the inputs at the end of the step before it, instead of those of the step after it
         (which differ where an input jumps).
-    paired
-        Whether an even step and the next are taken as one step of order 5 (where no input jumps between them); the
-        others are classical ones of order 4. The number of steps is even then.
+    pairs : (steps,)
+        Whether a step and the next, of the same length, are taken as one step of order 5 (where no input jumps between
+        them); the others are classical ones of order 4.
     derivative, output, site_values, coupled, site_table, law_table
         See `labrun.models.Model`.
     scratch : (numbers,)
         Zeros, as many as `Forces.scratch`.
-    states, outputs : (steps // every + 1, ...)
+    states, outputs : (rows, ...)
         Written row by row; the first row is the initial state.
 
     Returns
@@ -457,23 +458,21 @@ def integrate(
         pointer(site_table), pointer(law_table), pointer(p), pointer(values),
         force, offset(force, sites), offset(force, 5 * sites),
     )  # fmt: skip
-    t, step = start_s, 0
+    t, step, row = start_s, 0, 0
     while step <= count:
         begin = pointer(u_last) if step == count else offset(drive, 3 * inputs * step)
         loaded = False  # whether the forces for this step's beginning are known from its row
-        if step % every == 0:
-            row = step // every
+        if rows[row] == step:
             seen = offset(drive, 3 * inputs * step - inputs) if output_at_end and 0 < step < count else begin
             if not _row(row, t, now, seen, work, output, system, states, outputs):
                 return row
+            row += 1
             loaded = system.laws > 0 and _equal(seen, begin, inputs)
         if step == count:
             break
         h = steps_s[step]
         # inputs jump between samples only, unless a filter lets a jump through late; the step after it has no partner
-        double = (
-            paired and step % 2 == 0 and _equal(offset(begin, 2 * inputs), offset(begin, 3 * inputs), inputs)
-        )
+        double = pairs[step] and _equal(offset(begin, 2 * inputs), offset(begin, 3 * inputs), inputs)
         if total > 0 and double:
             fifth_order(t, 2.0 * h, begin, inputs, now, work, system, loaded)
         elif total > 0:
@@ -481,10 +480,11 @@ def integrate(
         t += h
         step += 1
         if double:
-            if step % every == 0:
-                row, seen, middle = step // every, offset(begin, 3 * inputs), offset(work, 6 * total)
+            if rows[row] == step:
+                seen, middle = offset(begin, 3 * inputs), offset(work, 6 * total)
                 if not _row(row, t, middle, seen, work, output, system, states, outputs):
                     return row
+                row += 1
             t += h
             step += 1
-    return count // every + 1
+    return row
