@@ -151,8 +151,9 @@ FIT_RENEWALS, REFIT_RENEWALS = 6, 12
 foretells the next, they would be taken for every step, and cost far more than they gain."""
 SHAPE_REMAINDER = 5e-4
 """Part of what a candidate explains that has to be left over (beyond noise) before its shape is looked at."""
-WIDENINGS, WIDER = 3, 5.0
-"""How often, and by which factor, the range of a size is widened that a fit ended at the far end of."""
+WIDENINGS, WIDER, NEAR_THE_END = 3, 5.0, 0.1
+"""How often, and by which factor, the range of a size is widened that a fit ended at the far end of, or on its way to:
+within this part of it. A stop 133 times as stiff as its joint was left at 97 of 100 times."""
 FINER, FINEST, STEPS_DO = 4, 16, 0.005
 """Steps of the integrator are so many times shortened, to so many per sample, until that moves the squared residual by
 less than this part of the recalibrated one: with one step for 20 ms, dry friction removed 0.38 of a servo's gap, with

@@ -26,8 +26,9 @@ def best_form(base: Base, screened: Screened, best: float, threshold: NoiseThres
     """
     if screened.gain < criteria.SHAPED_BESIDE_BEST * max(best, threshold.gain):
         return screened
-    screened = widened(base, screened)
-    usual = resolved(base, screened)
+    usual = resolved(base, widened(base, screened))
+    # a stiff stop has no better stiffness farther on as long as steps are too long for it
+    usual = resolved(base, widened(base, usual))
     found = shaped(base, usual, threshold)
     found = usual if found is usual else resolved(base, found)
     found = without_needless_levels(base, found, threshold)
@@ -62,9 +63,9 @@ def widened(base: Base, screened: Screened) -> Screened:
 def _further(one: EffectParameter, size: float) -> EffectParameter:
     if one.quantity == "ratio" or (one.neutral != 0.0 and one.quantity != "stiffness"):
         return one
-    if one.lower < 0.0 and size <= (1.0 - criteria.AT_BOUND) * one.lower:
+    if one.lower < 0.0 and size <= (1.0 - criteria.NEAR_THE_END) * one.lower:
         return replace(one, lower=criteria.WIDER * one.lower)
-    if size < (1.0 - criteria.AT_BOUND) * one.upper:
+    if size < (1.0 - criteria.NEAR_THE_END) * one.upper:
         return one
     return replace(one, upper=criteria.WIDER * one.upper)
 

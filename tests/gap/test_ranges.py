@@ -12,13 +12,16 @@ from labrun.fit.dataset import FitTrial
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import candidates, site_scales, untried
+from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.intervals import scatter
 from labrun.gap.recalibration import stated, stated_problem, unit_remarks
 from labrun.gap.screening import Base
 from labrun.models import parse_model
 from labrun.store import SignalInfo
 
-from .benches import PENDULUM, dry_friction, pendulum, recorded
+from .benches import PENDULUM, Force, dry_friction, pendulum, recorded
+
+QUICK = Options(places=False)
 
 
 def in_other_units(data: Dataset, factor: float) -> Dataset:
@@ -112,3 +115,19 @@ def test_a_sensor_is_not_saturated_below_what_it_read() -> None:
     }
     assert levels["angle"] == criteria.LEAST_LEVEL
     assert levels["torque"] < 0.1  # what an amplifier gave is not known
+
+
+def stop(level: float, stiffness: float) -> Force:
+    return lambda t, q, v: -stiffness * (max(q - level, 0.0) + min(q + level, 0.0))
+
+
+def test_a_late_stop_far_stiffer_than_its_joint_is_found_with_its_stiffness_beside_another_cause() -> None:
+    """It is 130 times as stiff as the joint, and reached in the last fiftieth of the largest motion only."""
+    peak = max(float(np.max(np.abs(one.outputs))) for one in recorded().trials)
+    drifting = recorded(
+        stop(0.98 * peak, 10.0), seen=lambda angle: angle + 0.05 * np.arange(len(angle)) / len(angle)
+    )
+    causes = {one.name.effect: one.values for one in diagnose_dataset(drifting, pendulum(), QUICK).causes}
+    assert set(causes) == {"end-stop", "drift"}
+    assert causes["end-stop"]["stiffness"].value == pytest.approx(10.0, rel=0.05)
+    assert causes["end-stop"]["upper"].value == pytest.approx(0.98 * peak, rel=0.005)
