@@ -13,7 +13,7 @@ from labrun.arrays import FloatArray, IntArray
 from labrun.effects import AttachedEffect, Scale
 from labrun.errors import FitError
 from labrun.fit.dataset import Dataset, FitTrial
-from labrun.fit.simulations import Simulations, stop_if_told
+from labrun.fit.simulations import Each, Simulations, one_by_one, stop_if_told
 from labrun.fit.variables import Deviation, InitialStates, Priors, changed, deviated, driven
 from labrun.models import Drive, Model, filtered, prepare, simulate, simulate_unfiltered, suggest_substeps
 
@@ -95,6 +95,8 @@ class Problem:
         What every trial has of its own beside its initial states, behind which it stands in `z`.
     seen : per trial (n,), or None for all
         1 for samples that count, 0 for those that are withheld.
+    each
+        How its trials are simulated: one after the other, or side by side.
     """
 
     data: Dataset
@@ -109,6 +111,7 @@ class Problem:
     deviations: tuple[Deviation, ...] = ()
     seen: tuple[FloatArray, ...] | None = None
     simulations: Simulations = field(default_factory=Simulations)
+    each: Each = one_by_one
 
     @classmethod
     def of(
@@ -385,15 +388,17 @@ class Problem:
 
     def residuals(self, z: FloatArray) -> list[FloatArray]:
         """Return the residual of every trial, huge where the simulation is not finite."""
-        parameters, found = self.parameters(z), []
-        for index, trial in enumerate(self.data.trials):
+        parameters = self.parameters(z)
+
+        def residual(index: int) -> FloatArray:
             own = self.own(z, index)
-            residual = self.trial_residual(parameters, index, own)
-            if residual is None:
-                huge = np.full(trial.outputs.size, self._huge)
-                residual = np.concatenate([huge, self._behind(index, own)])
-            found.append(residual)
-        return found
+            found = self.trial_residual(parameters, index, own)
+            if found is not None:
+                return found
+            huge = np.full(self.data.trials[index].outputs.size, self._huge)
+            return np.concatenate([huge, self._behind(index, own)])
+
+        return self.each(residual, range(len(self.data.trials)))
 
     def squares(self, z: FloatArray, residual: Sequence[FloatArray] | None = None) -> float:
         """Return the sum of squared residuals (or take them as known), prior included."""
@@ -429,15 +434,15 @@ class Problem:
             are: only those by the variables behind them are computed.
         """
         residual = self.residuals(z) if residual is None else residual
-        parameters, shared, own = self.parameters(z), [], []
-        for index, base in enumerate(residual):
-            start = self.own(z, index)
+        parameters = self.parameters(z)
+
+        def slopes(index: int) -> tuple[FloatArray, FloatArray]:
+            base, start = residual[index], self.own(z, index)
             if beside is not None:
                 known = beside.shared[index]
                 behind = range(known.shape[1], self.size)
                 added = [self._by_parameter(parameters, index, start, one, base, False) for one in behind]
-                shared.append(np.column_stack([known, *added]))
-                continue
+                return np.column_stack([known, *added]), beside.own[index]
             by_parameter = [
                 self._by_parameter(parameters, index, start, variable, base, central)
                 if moving is None or moving[variable]
@@ -448,9 +453,10 @@ class Problem:
                 self._by_state(parameters, index, start, place, base, central)
                 for place in range(self.own_size)
             ]
-            shared.append(_columns(by_parameter, len(base)))
-            own.append(_columns(by_state, len(base)))
-        return Jacobian(shared, own if beside is None else beside.own, residual)
+            return _columns(by_parameter, len(base)), _columns(by_state, len(base))
+
+        found = self.each(slopes, range(len(residual)))
+        return Jacobian([shared for shared, _ in found], [own for _, own in found], residual)
 
     def _by_parameter(
         self,

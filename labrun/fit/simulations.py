@@ -4,7 +4,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from threading import Lock
 from typing import Protocol, TypeVar
@@ -15,7 +15,7 @@ Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 
 _OF_THREAD = threading.local()
-"""In a thread of `workers`: the event that tells it to stop."""
+"""Of each thread, as `unwanted`: the events that tell it that what it works on is not wanted any more."""
 
 
 class Each(Protocol):
@@ -35,38 +35,72 @@ def one_by_one(work: Callable[[Argument], Result], items: Iterable[Argument]) ->
 def workers(count: int) -> Iterator[Each]:
     """Give a `map` over threads: compiled simulations run beside each other, since they do not hold Python's lock.
 
+    Whoever calls it works, too, and idle threads join in: so it may be called inside of its own work, and nobody waits
+    but for what is under way. Once the threads have ended, it does one thing after the other.
+
     An error, or Ctrl-C, ends what is still under way at its next call of `stop_if_told`: nobody waits for fits whose
     results are not wanted any more.
     """
     if count <= 1:
         yield one_by_one
         return
-    stop = threading.Event()
-
-    def begin() -> None:
-        _OF_THREAD.stop = stop
-
-    with ThreadPoolExecutor(count, initializer=begin) as pool:
+    ended = threading.Event()
+    with ThreadPoolExecutor(count - 1) as pool:
 
         def each(work: Callable[[Argument], Result], items: Iterable[Argument]) -> list[Result]:
-            return list(pool.map(work, items))
+            if ended.is_set():
+                return one_by_one(work, items)
+            items, unwanted = list(items), threading.Event()
+            places, found = iter(range(len(items))), dict[int, Result]()
+
+            def take() -> None:
+                before = _unwanted()
+                _OF_THREAD.unwanted = (*before, unwanted)
+                try:
+                    for place in places:  # whichever thread asks first
+                        stop_if_told()
+                        found[place] = work(items[place])
+                except BaseException:
+                    unwanted.set()
+                    raise
+                finally:
+                    _OF_THREAD.unwanted = before
+
+            try:
+                others = [pool.submit(take) for _ in range(min(count, len(items)) - 1)]
+                with suppress(CancelledError):  # what made it unwanted is told by another thread
+                    take()
+                wrong = [error for one in others if not one.cancel() and (error := one.exception())]
+            except BaseException:
+                unwanted.set()
+                raise
+            if len(found) < len(items):
+                raise min(
+                    wrong, key=lambda error: isinstance(error, CancelledError), default=CancelledError()
+                )
+            return [found[place] for place in range(len(items))]
 
         try:
             yield each
         except BaseException:
-            stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+        finally:
+            ended.set()
 
 
 def stop_if_told() -> None:
     """End the work of this thread if its results are not wanted any more; long work calls it often.
 
-    Raises CancelledError: in a thread of `workers` only.
+    Raises CancelledError: in work of `workers` only.
     """
-    stop = getattr(_OF_THREAD, "stop", None)
-    if stop is not None and stop.is_set():
+    if any(one.is_set() for one in _unwanted()):
         raise CancelledError
+
+
+def _unwanted() -> tuple[threading.Event, ...]:
+    found: tuple[threading.Event, ...] = getattr(_OF_THREAD, "unwanted", ())
+    return found
 
 
 _MOST_BYTES = 128_000_000

@@ -12,6 +12,7 @@ from test_output_error import driven, oscillator
 from labrun.fit.dataset import Dataset, FitTrial, SignalInfo
 from labrun.fit.levenberg_marquardt import NormalEquations, minimise
 from labrun.fit.problem import Problem
+from labrun.fit.simulations import workers
 from labrun.models import Model, parse_model, simulate
 
 FloatArray = NDArray[np.float64]
@@ -197,3 +198,10 @@ def test_a_descent_on_rough_ground_ends_where_no_step_promises_what_counts() -> 
     # a step down, derivatives that tell of jumps alone, a step that gains nothing: not one shorter step after the other
     spent = (rough.simulations.made - begun_at) / len(rough.data.trials)
     assert spent <= 3 + 2 * len(near[: rough.size]) + 2 * rough.own_size
+
+
+def test_trials_simulated_side_by_side_give_the_same_to_the_last_bit() -> None:
+    problem, z = begun(oscillator())
+    with workers(3) as each:
+        together = replace(problem, each=each)
+        np.testing.assert_array_equal(minimise(together, z), minimise(problem, z))

@@ -60,3 +60,16 @@ def test_results_come_in_their_order_whatever_the_number_of_workers() -> None:
 
 def test_the_main_thread_is_never_told_to_stop() -> None:
     stop_if_told()
+
+
+def test_work_inside_of_work_is_done_without_waiting_for_another_thread() -> None:
+    """As many waiting as there are threads would wait for ever."""
+    with workers(2) as each:
+        sums = each(lambda start: sum(each(lambda one: start + one, range(10))), range(4))
+    assert sums == [45, 55, 65, 75]
+
+
+def test_what_keeps_the_map_may_use_it_when_the_threads_have_ended() -> None:
+    with workers(2) as each:
+        pass
+    assert each(abs, [-1, 2]) == [1, 2]
