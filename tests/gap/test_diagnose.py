@@ -194,6 +194,18 @@ def test_a_delayed_sensor_is_told_from_everything_in_the_joint() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("exponent", [2.5, 3.4])
+def test_a_spring_that_hardens_with_another_power_than_three_is_one_cause_with_its_exponent(
+    exponent: float,
+) -> None:
+    """What the cube leaves of it looks like a force that comes back along the way, of a very long period."""
+    hardening = recorded(lambda t, q, v: -0.06 * abs(q) ** (exponent - 1) * q, noise=0.002)
+    (cause,) = diagnose_dataset(hardening, pendulum(), QUICK).causes
+    assert str(cause.name) == "cubic-stiffness at hinge"
+    assert cause.values["exponent"].value == pytest.approx(exponent, abs=0.05)
+    assert cause.values["coefficient"].value == pytest.approx(0.06, rel=0.05)
+
+
 def test_an_effect_taken_out_of_the_library_is_not_blamed_on_a_neighbour() -> None:
     stiffening = recorded(lambda t, q, v: -0.12 * q**3, noise=0.002, conditions=CONDITIONS[:3])
     known = diagnose_dataset(stiffening, pendulum(), QUICK)
