@@ -87,8 +87,13 @@ def _same(one: str, other: Path) -> bool:
 
 def _found_again(fitted: Dataset, fresh: Dataset) -> str:
     """Return the trials of fresh data whose samples are those of a trial that was fitted; "" if there are none."""
-    seen = {trial.outputs.tobytes() for trial in fitted.trials}
-    return ", ".join(trial.label for trial in fresh.trials if trial.outputs.tobytes() in seen)
+    seen = {trial.inputs.tobytes() + trial.outputs.tobytes() for trial in fitted.trials}
+    again = [
+        trial.label
+        for trial in fresh.trials
+        if np.ptp(trial.outputs, axis=0).any() and trial.inputs.tobytes() + trial.outputs.tobytes() in seen
+    ]
+    return ", ".join(again)
 
 
 def _origin(model: Model) -> tuple[Model | None, tuple[str, ...]]:

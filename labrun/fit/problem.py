@@ -319,6 +319,7 @@ class Problem:
                     self.model, drive, parameters=parameters, condition=data.condition, initial_state=start,
                     effects=inside,
                 ),
+                laid_out,
             )  # fmt: skip
             found = filtered(self.model, before, effects)
             return found.outputs if found.finite else None

@@ -51,11 +51,12 @@ def workers(count: int) -> Iterator[Each]:
             if ended.is_set():
                 return one_by_one(work, items)
             items, unwanted = list(items), threading.Event()
+            told = (*_unwanted(), unwanted)
             places, found = iter(range(len(items))), dict[int, Result]()
 
             def take() -> None:
                 before = _unwanted()
-                _OF_THREAD.unwanted = (*before, unwanted)
+                _OF_THREAD.unwanted = told
                 try:
                     for place in places:  # whichever thread asks first
                         stop_if_told()
@@ -66,14 +67,22 @@ def workers(count: int) -> Iterator[Each]:
                 finally:
                     _OF_THREAD.unwanted = before
 
+            begun = [take]
+
+            def join() -> None:
+                for one in tuple(begun):
+                    one()
+
             try:
-                others = [pool.submit(take) for _ in range(min(count, len(items)) - 1)]
+                others = [pool.submit(join) for _ in range(min(count, len(items)) - 1)]
                 with suppress(CancelledError):  # what made it unwanted is told by another thread
                     take()
                 wrong = [error for one in others if not one.cancel() and (error := one.exception())]
             except BaseException:
                 unwanted.set()
                 raise
+            finally:
+                begun.clear()  # what still waits in the queue of busy threads must not hold the results
             if len(found) < len(items):
                 raise min(
                     wrong, key=lambda error: isinstance(error, CancelledError), default=CancelledError()
@@ -116,7 +125,7 @@ class Simulations:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._kept: OrderedDict[Hashable, Unfiltered] = OrderedDict()
+        self._kept: OrderedDict[Hashable, tuple[Unfiltered, object]] = OrderedDict()
         self._bytes = 0
         self.made = 0
         self.broken = 0
@@ -139,21 +148,27 @@ class Simulations:
             "its parameters were fitted: part of what is believed of them does not simulate, and was not searched.",
         )
 
-    def get(self, key: Hashable, make: Callable[[], Unfiltered]) -> Unfiltered:
-        """Return the simulation of that key, without its states; `make` simulates if it is not there."""
+    def get(self, key: Hashable, make: Callable[[], Unfiltered], holds: object) -> Unfiltered:
+        """Return the simulation of that key, without its states; `make` simulates if it is not there.
+
+        Parameters
+        ----------
+        holds
+            What the key names by its `id`, which is another's once it is gone: kept as long as the key.
+        """
         with self._lock:
             found = self._kept.get(key)
             if found is not None:
                 self._kept.move_to_end(key)
-                return found
+                return found[0]
         made = make()
         made = replace(made, states=made.states[:, :0].copy())  # nobody asks for them, and they are large
         with self._lock:
             if key not in self._kept:
-                self._kept[key] = made
+                self._kept[key] = made, holds
                 self._bytes += _size(made)
             while self._bytes > _MOST_BYTES and len(self._kept) > 1:
-                self._bytes -= _size(self._kept.popitem(last=False)[1])
+                self._bytes -= _size(self._kept.popitem(last=False)[1][0])
         return made
 
     def __reduce__(self) -> tuple[type["Simulations"], tuple[()]]:

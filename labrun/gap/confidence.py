@@ -22,9 +22,20 @@ def confidence(search: Search, one: Chosen) -> float:
     Their weight among all that explains the data as well, less what even a cause without rivals turned out to be wrong.
     """
     weight = one.weight + (one.rivals[0][1] if one.rivals else 0.0)
-    most = ceiling(search.noise.basis, len(search.data.conditions), one.own_share)
+    own_share = 1.0 if _explains_most_alone(search, one) else one.own_share
+    most = ceiling(search.noise.basis, len(search.data.conditions), own_share)
     no_chance = 1.0 - np.exp(-one.rated.evidence)
     return float(np.clip(most * weight * no_chance, criteria.LEAST_CONFIDENCE, most))
+
+
+def _explains_most_alone(search: Search, one: Chosen) -> bool:
+    """Tell whether no other of the causes removes more by itself.
+
+    Where little comes back without any one of them, they stand in for one another, and this is what they stand in for.
+    """
+    alone = {rated.candidate.name: rated.share for rated in search.selection.rounds[0].rated}
+    most = max((alone.get(other.name, -1.0) for other in search.selection.chosen), default=-1.0)
+    return one.name in alone and alone[one.name] >= most
 
 
 def ceiling(basis: Basis, conditions: int, own_share: float = 1.0) -> float:

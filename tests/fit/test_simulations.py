@@ -1,7 +1,9 @@
 """Work whose results nobody wants any more ends soon."""
 
+import gc
 import signal
 import threading
+import weakref
 from collections.abc import Iterator
 
 import pytest
@@ -73,3 +75,40 @@ def test_what_keeps_the_map_may_use_it_when_the_threads_have_ended() -> None:
     with workers(2) as each:
         pass
     assert each(abs, [-1, 2]) == [1, 2]
+
+
+def test_what_inner_work_gave_is_let_go_while_the_outer_work_goes_on() -> None:
+    """Threads that are busy leave what was queued for them where it is: it must hold no results."""
+
+    class Large:
+        pass
+
+    kept = list[weakref.ref[Large]]()
+
+    def inner(_: int) -> Large:
+        made = Large()
+        kept.append(weakref.ref(made))
+        return made
+
+    def outer(_: int) -> int:
+        for _ in range(20):
+            each(inner, range(4))
+        gc.collect()
+        return sum(one() is not None for one in tuple(kept))
+
+    with workers(2) as each:
+        alive = each(outer, range(6))
+    assert max(alive) <= 8  # those of the call that another thread is in
+
+
+def test_who_joins_in_is_told_what_the_outer_work_is_told() -> None:
+    joined = threading.Event()
+
+    def inner(number: int) -> None:
+        if number == 0:
+            joined.wait(10.0)
+            raise ValueError("no")
+        endless(joined)
+
+    with pytest.raises(ValueError, match="no"), workers(3) as each:
+        each(lambda _: each(inner, range(2)), range(1))
