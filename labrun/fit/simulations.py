@@ -148,7 +148,7 @@ class Simulations:
             "its parameters were fitted: part of what is believed of them does not simulate, and was not searched.",
         )
 
-    def get(self, key: Hashable, make: Callable[[], Unfiltered], holds: object) -> Unfiltered:
+    def get(self, key: Hashable, make: Callable[[], Unfiltered], holds: object = None) -> Unfiltered:
         """Return the simulation of that key, without its states; `make` simulates if it is not there.
 
         Parameters
