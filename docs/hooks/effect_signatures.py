@@ -226,13 +226,9 @@ def _at(effect: Effect, rig: Rig, which: int) -> AttachedEffect:
         most = _LARGEST * abs(
             starts[0]
         )  # friction above what drives the rig would only show that it stands still
-        # at the last of several starts of a level, a stop at both sides is out of reach
-        there = (
-            starts[1]
-            if which == -1 and one.neutral in (np.inf, -np.inf) and len(starts) > 2
-            else starts[which]
-        )
-        values[one.name] = starts[0] if one.neutral is None else min(max(there, -most), most)
+        # the last of three starts of a level is out of reach: a stop there shows nothing
+        reached = starts[:2] if one.neutral in (np.inf, -np.inf) else starts
+        values[one.name] = starts[0] if one.neutral is None else min(max(reached[which], -most), most)
     return effect.attach(rig.site, rig.scale, **values)
 
 

@@ -59,16 +59,12 @@ def predict_fresh(
         )
     note(f"reading {folder}")
     question = ask(folder, model, signals=signals, workspace=Path(workspace))
-    if chosen.origin is not None and chosen.origin.data:
-        try:
-            fitted = ask(Path(chosen.origin.data), model, signals=signals, workspace=Path(workspace)).dataset
-        except LabrunError:  # it is gone, or somewhere else: nothing to compare with
-            fitted = None
-        if fitted is not None and (copied := _found_again(fitted, question.dataset)):
-            raise RequestError(
-                f"{folder} holds {copied}, which {model} was corrected by ({chosen.origin.data})",
-                hint="record the bench again, or name a recording without these trials with --fresh",
-            )
+    fitted = "" if chosen.origin is None else chosen.origin.data
+    if fitted and (again := _seen_again(question.dataset, fitted, model, signals, Path(workspace))):
+        raise RequestError(
+            f"{folder} holds {again}, which {model} was corrected by",
+            hint="record the bench again, or name a recording without these trials with --fresh",
+        )
     before, missing = (named_model(beside, Path(workspace)), ()) if beside is not None else _origin(chosen)
     found = predict(
         question.model,
@@ -85,15 +81,27 @@ def _same(one: str, other: Path) -> bool:
     return Path(one).resolve() == other.resolve()
 
 
-def _found_again(fitted: Dataset, fresh: Dataset) -> str:
-    """Return the trials of fresh data whose samples are those of a trial that was fitted; "" if there are none."""
-    seen = {trial.inputs.tobytes() + trial.outputs.tobytes() for trial in fitted.trials}
-    again = [
-        trial.label
-        for trial in fresh.trials
-        if np.ptp(trial.outputs, axis=0).any() and trial.inputs.tobytes() + trial.outputs.tobytes() in seen
-    ]
-    return ", ".join(again)
+def _seen_again(
+    fresh: Dataset, data: str, model: str | Path, signals: Mapping[str, str] | None, workspace: Path
+) -> str:
+    """Return the trials of fresh data that are among those a model was corrected by, sample for sample; "" if none are.
+
+    Trials that stand still are alike without being the same. What cannot be read any more is not compared.
+    """
+    for names in (signals, None):  # the fresh data may name its channels otherwise
+        try:
+            fitted = ask(Path(data), model, signals=names, workspace=workspace).dataset
+        except LabrunError:
+            continue
+        seen = {trial.inputs.tobytes() + trial.outputs.tobytes() for trial in fitted.trials}
+        again = [
+            trial.label
+            for trial in fresh.trials
+            if np.ptp(trial.outputs, axis=0).any()
+            and trial.inputs.tobytes() + trial.outputs.tobytes() in seen
+        ]
+        return ", ".join(again)
+    return ""
 
 
 def _origin(model: Model) -> tuple[Model | None, tuple[str, ...]]:

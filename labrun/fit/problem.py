@@ -290,10 +290,6 @@ class Problem:
         )
         return self if needed == self.substeps else self.with_substeps(needed)
 
-    def finer_steps(self, factor: int, most: int) -> tuple[IntArray, ...]:
-        """Return the steps so many times shortened in every interval that has fewer than `most` of them."""
-        return tuple(np.where(counts < most, factor * counts, counts) for counts in self.steps)
-
     # --- simulation and residuals -----------------------------------------------------------------------------------
 
     def simulate(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:

@@ -312,10 +312,9 @@ def _unannounced(chosen: Sequence[Chosen], found: VerdictBasis, *, unproven: boo
     """
     names = " and ".join(str(one.name) for one in chosen)
     if found.needless_beside:
-        stands, leaves, it = ("stand", "leave", "them") if len(chosen) > 1 else ("stands", "leaves", "it")
         return (
-            f"{names} {stands} in for something else: beside {found.needless_beside}, which explains most of what "
-            f"{'they' if len(chosen) > 1 else 'it'} {leaves}, hardly anything of {it} is needed",
+            f"hardly anything is needed of {names} beside {found.needless_beside}, which explains most of what is "
+            "left: something else makes the gap, and looks like it",
         )
     if found.shrinkage is None or not unproven:
         return ()

@@ -32,7 +32,7 @@ def best_form(base: Base, screened: Screened, best: float, threshold: NoiseThres
     found = shaped(base, usual, threshold)
     found = usual if found is usual else resolved(base, found)
     found = without_needless_levels(base, found, threshold)
-    return found if found.candidate is screened.candidate else replace(found, usual=screened)
+    return found if found.candidate is usual.candidate else replace(found, usual=usual)
 
 
 def widened(base: Base, screened: Screened) -> Screened:

@@ -46,13 +46,9 @@ class NuisanceProjection:
         prior
             Residuals of the prior; zero if None.
         """
-        return off(self._shared, self.beside_own(parts, prior))
-
-    def beside_own(self, parts: Sequence[FloatArray], prior: FloatArray | None = None) -> FloatArray:
-        """Return the same with what the trials' own initial states imitate taken out, and nothing else."""
         rows = [off(own, part) for own, part in zip(self._own, parts, strict=True)]
         behind = np.zeros((self._rows, *rows[0].shape[1:])) if prior is None else prior
-        return np.concatenate([*rows, behind])
+        return off(self._shared, np.concatenate([*rows, behind]))
 
 
 def basis(columns: FloatArray) -> FloatArray:

@@ -133,7 +133,7 @@ def search_causes(
         data = averaged(followed, model)
     if model.states:
         data = without_crowding(data)
-    first = _side_by_side(recalibrate(model, data, rng, note), each)
+    first = recalibrate(model, data, rng, note, each)
     asked = _Asked(clocks, data, withhold, full_guard, brisk, least_gap, rng, each, note)
     found = _searched(asked, first)
     if not found.candidates:  # what recalibration leaves is no gap here, or nothing moves
@@ -146,10 +146,6 @@ def search_causes(
         found = _fitted_to_motion(again, first.noise) if again.selection.chosen else found
     found = _with_own_deviations(asked, first, found)
     return _in_wells(asked, found) or found
-
-
-def _side_by_side(found: Recalibrated, each: Each) -> Recalibrated:
-    return replace(found, problem=replace(found.problem, each=each))
 
 
 def _in_wells(asked: "_Asked", found: Search) -> Search | None:
@@ -171,7 +167,7 @@ def _in_wells(asked: "_Asked", found: Search) -> Search | None:
     clocks = replace(asked.clocks, dataset=dataset, limitations=(said, *asked.clocks.limitations))
     data = without_crowding(averaged(dataset, model))
     beside = replace(asked, clocks=clocks, data=data)
-    first = _side_by_side(recalibrate(model, data, asked.rng, asked.note), asked.each)
+    first = recalibrate(model, data, asked.rng, asked.note, asked.each)
     again = _with_own_deviations(beside, first, _searched(beside, first))
     attached = [one.rated.candidate.attached for one in again.selection.chosen]
     return again if any(one is not None and one.effect.periodic for one in attached) else None

@@ -129,7 +129,7 @@ def promising(
     return [
         one
         for place, one in enumerate(ordered[:most])
-        if (place < criteria.RATED_ANYWAY and not least)
+        if (place < criteria.RATED_ANYWAY and least == 0.0)
         or (one.gain > needed and score(one, threshold) > criteria.RATED_BESIDE_BEST * best)
     ]
 

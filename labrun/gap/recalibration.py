@@ -9,7 +9,17 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.errors import FitError
 from labrun.estimate import significant
-from labrun.fit import Dataset, Deviation, Note, OutputNoise, Problem, minimise, search
+from labrun.fit import (
+    Dataset,
+    Deviation,
+    Each,
+    Note,
+    OutputNoise,
+    Problem,
+    minimise,
+    one_by_one,
+    search,
+)
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.held_out import ExcessResidual, fitted_excess, floor_of, mean_residuals
@@ -40,9 +50,17 @@ class Recalibrated:
     z: FloatArray
 
 
-def recalibrate(model: Model, units: Dataset, rng: np.random.Generator, note: Note) -> Recalibrated:
-    """Fit the parameters within their tolerances, find the noise, and fit again in its units."""
-    problem = stated_problem(model, units)
+def recalibrate(
+    model: Model, units: Dataset, rng: np.random.Generator, note: Note, each: Each = one_by_one
+) -> Recalibrated:
+    """Fit the parameters within their tolerances, find the noise, and fit again in its units.
+
+    Parameters
+    ----------
+    each
+        How trials are simulated, here and by all that is made of the problem.
+    """
+    problem = replace(stated_problem(model, units), each=each)
     note("recalibrating the model within what is known of its parameters")
     z = search(problem, rng, starts=criteria.RECALIBRATION_STARTS, note=lambda _: None)[0].z
     refined = problem.refined(z)

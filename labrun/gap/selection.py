@@ -510,7 +510,7 @@ class Selector:
         if not closely:
             return Round(base, screened, threshold, [], learnable)
         screened = begun_where_kin_ended(base, screened, max(threshold.gain, least), self.each)
-        most = max(least, *(one.gain for one in screened), 0.0)
+        most = max([least, *(one.gain for one in screened)])
         screened = self.each(lambda one: best_form(base, one, most, threshold), screened)
         rated = self.each(
             lambda one: rate(base, one, threshold, self.noise, self.reference),

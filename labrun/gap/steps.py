@@ -18,7 +18,7 @@ def in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatAr
     """
     there = problem.finite_residuals(z)
     if there is None:
-        finer = problem.with_steps(problem.finer_steps(criteria.FINER, criteria.FINEST))
+        finer = _in_finer_steps(problem)
         there = None if finer is problem else finer.finite_residuals(z)
         problem = problem if there is None else finer
     return problem, there
@@ -34,7 +34,7 @@ def in_shorter_steps(problem: Problem, z: FloatArray, moved: float) -> Problem:
     moved
         What shorter steps may change the sum of squares by.
     """
-    finer = problem.with_steps(problem.finer_steps(criteria.FINER, criteria.FINEST))
+    finer = _in_finer_steps(problem)
     if finer is problem:
         return problem
     fine = _squares_by_trial(finer, z)
@@ -69,6 +69,12 @@ def in_longer_steps(problem: Problem, z: FloatArray, fewest: Sequence[IntArray])
     stays = _staying(change, criteria.STEPS_STAY_IN_BASE * moved)
     both = zip(coarser.drives, problem.drives, stays, strict=True)
     return problem.with_drives([longer if stay else mine for longer, mine, stay in both])
+
+
+def _in_finer_steps(problem: Problem) -> Problem:
+    """Return the problem in shorter steps everywhere; itself if none are to be shorter."""
+    few = criteria.FINEST
+    return problem.with_steps([np.where(one < few, criteria.FINER * one, one) for one in problem.steps])
 
 
 def _staying(change: FloatArray, moved: float) -> NDArray[np.bool_]:

@@ -13,9 +13,11 @@ from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import candidates, site_scales, untried
 from labrun.gap.diagnose import Options, diagnose_dataset
+from labrun.gap.forms import best_form
 from labrun.gap.intervals import scatter
-from labrun.gap.recalibration import stated, stated_problem, unit_remarks
-from labrun.gap.screening import Base
+from labrun.gap.noise_threshold import NoiseThreshold
+from labrun.gap.recalibration import recalibrate, stated, stated_problem, unit_remarks
+from labrun.gap.screening import Base, follow, rough, survey
 from labrun.models import parse_model
 from labrun.store import SignalInfo
 
@@ -131,3 +133,16 @@ def test_a_late_stop_far_stiffer_than_its_joint_is_found_with_its_stiffness_besi
     assert set(causes) == {"end-stop", "drift"}
     assert causes["end-stop"]["stiffness"].value == pytest.approx(10.0, rel=0.05)
     assert causes["end-stop"]["upper"].value == pytest.approx(0.98 * peak, rel=0.005)
+
+
+def test_a_candidate_that_is_fitted_in_a_wider_range_is_not_of_another_form() -> None:
+    """What is its usual form is looked at again with its shapes open, and must not be cut to the narrow range."""
+    data = averaged(recorded(stop(1.5, 10.0)), pendulum())
+    found = recalibrate(pendulum(), data, np.random.default_rng(0), lambda _: None)
+    base = Base.of(found.problem, found.z)
+    known = candidates(pendulum(), site_scales(found.problem, found.z))
+    (candidate,) = [one for one in known if str(one.name) == "end-stop at hinge"]
+    fitted = follow(base, rough(base, survey(base, candidate)))
+    best = best_form(base, fitted, fitted.gain, NoiseThreshold(10.0, 1.0))
+    assert best.candidate is not candidate
+    assert best.usual is None

@@ -73,7 +73,7 @@ def test_steps_are_short_near_reversals_alone_where_friction_turns_sharply(rubbi
 def test_short_steps_in_some_intervals_leave_what_those_in_all_of_them_do(rubbing) -> None:
     problem, z = rubbing
     moved = 1e-4 * problem.squares(z)
-    everywhere = problem.with_steps(problem.finer_steps(criteria.FINER, criteria.FINEST))
+    everywhere = problem.with_steps([criteria.FINER * one for one in problem.steps])
     fine, present = _squares(everywhere, z), _squares(problem, z)
     mixed = in_shorter_steps(problem, z, moved)
     assert abs(np.sum(fine - present)) > moved
