@@ -84,7 +84,7 @@ def _same(one: str, other: Path) -> bool:
 def _seen_again(
     fresh: Dataset, data: str, model: str | Path, signals: Mapping[str, str] | None, workspace: Path
 ) -> str:
-    """Return the trials of fresh data that are among those a model was corrected by, sample for sample; "" if none are.
+    """Say which trial of fresh data, or how many, a model was corrected by, sample for sample; "" if there are none.
 
     Trials that stand still are alike without being the same. What cannot be read any more is not compared.
     """
@@ -100,7 +100,7 @@ def _seen_again(
             if np.ptp(trial.outputs, axis=0).any()
             and trial.inputs.tobytes() + trial.outputs.tobytes() in seen
         ]
-        return ", ".join(again)
+        return again[0] if len(again) == 1 else f"{len(again)} trials" if again else ""
     return ""
 
 

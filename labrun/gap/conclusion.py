@@ -152,7 +152,7 @@ def conclude(
     if unproven:
         without = _basis(search, (), floor, rng)
         unproven = not stands_all_the_same(findings, without)
-    unannounced = _unannounced(selection.chosen, findings, unproven=unproven)
+    unannounced = _unannounced(selection.chosen, findings) if unproven else ()
     findings = without if unproven else findings
     sizes, shrunk = findings.sizes, findings.shrinkage
     decided = verdict(findings)
@@ -204,6 +204,7 @@ def conclude(
             noise_known=noise.known,
             differs=differs,
             rest=findings.left_is_gap,
+            needless_beside=findings.needless_beside,
         ),
         gap=sizes,
         where=found,
@@ -302,22 +303,11 @@ def _may_stand_in(search: Search, kinds: Sequence[str]) -> bool:
     return "parameter" not in kinds and not followed and not search.selection.final.brisk
 
 
-def _unannounced(chosen: Sequence[Chosen], found: VerdictBasis, *, unproven: bool) -> tuple[str, ...]:
-    """Return what is said of causes that are not announced.
-
-    Parameters
-    ----------
-    unproven
-        Whether what they remove of withheld conditions may be nothing.
-    """
-    names = " and ".join(str(one.name) for one in chosen)
-    if found.needless_beside:
-        return (
-            f"hardly anything is needed of {names} beside {found.needless_beside}, which explains most of what is "
-            "left: something else makes the gap, and looks like it",
-        )
-    if found.shrinkage is None or not unproven:
+def _unannounced(chosen: Sequence[Chosen], found: VerdictBasis) -> tuple[str, ...]:
+    """Return what is said of causes that are not announced."""
+    if found.shrinkage is None:
         return ()
+    names = " and ".join(str(one.name) for one in chosen)
     return (
         f"{names} fits the recorded trials, but on withheld conditions it removes {100 * found.shrinkage.value:.0f} % "
         f"[{100 * found.shrinkage.low:.0f}, {100 * found.shrinkage.high:.0f}] of the gap, which may be nothing: "

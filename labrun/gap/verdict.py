@@ -154,6 +154,7 @@ def sentence(
     noise_known: bool = True,
     differs: Sequence[str] = (),
     rest: bool = False,
+    needless_beside: str = "",
 ) -> str:
     """Return the verdict as one sentence, behind one on what differs by trial.
 
@@ -165,6 +166,8 @@ def sentence(
         How many there are: of one, nothing could be withheld from the fit.
     rest
         Whether what the causes leave is plainly more than noise.
+    needless_beside
+        See `VerdictBasis`.
     """
     if differs:
         beside = sentence(
@@ -176,6 +179,7 @@ def sentence(
             conditions=conditions,
             noise_known=noise_known,
             rest=rest,
+            needless_beside=needless_beside,
         )
         return f"{_capital(' and '.join(differs))}. Beside that: {beside[:1].lower()}{beside[1:]}"
     raw, recalibrated = significant(sizes.raw), significant(sizes.recalibrated)
@@ -206,8 +210,10 @@ def sentence(
             f"Parameters explain it: recalibrated within what is known of them, the gap falls from {raw} to "
             f"{recalibrated} times {unit}, and {end}."
         )
-    names, does = " and ".join(one.words for one in nearest), "remove" if len(nearest) > 1 else "removes"
+    names, several = " and ".join(one.words for one in nearest), len(nearest) > 1
+    does, needed = ("remove", "are hardly needed") if several else ("removes", "is hardly needed")
     told = f"; the nearest, {names}, {does}{removed or ' too little'} of it" if nearest else ""
+    told += f", but {needed} beside {needless_beside}" if needless_beside else ""
     outside = "" if noise_known else ", or acts from outside of what was recorded"
     return (
         f"The cause is not in the library{outside}: a gap of {recalibrated} times {unit} remains after "

@@ -133,7 +133,7 @@ def test_a_file_is_tested_beside_its_origin_but_not_on_the_data_it_was_fitted_to
     assert found.predictions[0].ratio.high > 1.0  # 0.9 is farther from the truth than 0.8
     with pytest.raises(RequestError, match="was corrected by"):
         predict_file(corrected, recorded(tmp_path / "run"))
-    with pytest.raises(RequestError, match=r"copy holds .*, which .* was corrected by"):
+    with pytest.raises(RequestError, match=r"copy holds 2 trials, which .* was corrected by"):
         predict_file(corrected, recorded(tmp_path / "copy"))
     (tmp_path / "decay.toml").unlink()
     alone = predict_file(corrected, tmp_path / "fresh", horizons_s=(0.5,))
