@@ -1,17 +1,20 @@
 """What differs from trial to trial is told as such, and neither taken for noise nor for a cause common to all."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
-from labrun.fit import Dataset, Deviation, DeviationKind
+from labrun.fit import Dataset, Deviation, DeviationKind, silent
 from labrun.fit.variables import deviated
+from labrun.gap.averaging import averaged
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.recalibration import stated_problem
+from labrun.gap.recalibration import recalibrate, stated_problem
 from labrun.gap.trial_wise import found_alone, set_anew, shape_of, simulated_changes, words
 
-from .benches import CONDITIONS, FloatArray, dry_friction, nothing, pendulum, recorded
+from .benches import CONDITIONS, TRUE, FloatArray, dry_friction, nothing, pendulum, recorded
 
 QUICK = Options(places=False)
 
@@ -188,3 +191,47 @@ def test_a_deviation_is_told_in_its_unit() -> None:
     outputs = [("angle", "rad")]
     assert words(Deviation("gain", 0, 0.012), outputs).endswith("(standard deviation 1.2 %)")
     assert words(Deviation("start time", None, 0.02), outputs).startswith("the start time")
+
+
+def wandering(data: Dataset, size: float) -> Dataset:
+    """Return trials whose sensor has 1/f noise of a standard deviation, as amplifiers do."""
+    rng = np.random.default_rng(11)
+    trials = []
+    for one in data.trials:
+        spectrum = np.fft.rfft(rng.standard_normal(4 * len(one.time_s)))
+        spectrum[1:] /= np.sqrt(np.arange(1, len(spectrum)))
+        noise = np.fft.irfft(spectrum)[: len(one.time_s)]
+        trials.append(replace(one, outputs=one.outputs + size * (noise / np.std(noise))[:, None]))
+    return replace(data, trials=tuple(trials))
+
+
+def begun(angles: Sequence[float], slow: float, rate_hz: float = 100.0) -> Dataset:
+    """Return driven trials of the true pendulum from these angles, with white and with 1/f noise."""
+    time_s, made, rng = np.arange(0.0, 4.0, 1 / rate_hz), [], np.random.default_rng(2)
+    for one, angle, (amplitude, frequency_hz) in zip(
+        never_repeated().trials, angles, CONDITIONS, strict=True
+    ):
+        torque = amplitude * np.sin(2 * np.pi * frequency_hz * time_s)
+
+        def slope(t: float, x: FloatArray, torque: FloatArray = torque) -> list[float]:
+            held = TRUE["stiffness"] * x[0] + TRUE["damping"] * x[1] + TRUE["gravity"] * np.sin(x[0])
+            return [x[1], (float(np.interp(t, time_s, torque)) - held) / TRUE["inertia"]]
+
+        swung = solve_ivp(slope, (0.0, 4.0), [angle, 0.0], t_eval=time_s, rtol=1e-7, atol=1e-9, max_step=0.01)
+        seen = swung.y[0] + 1e-3 * rng.standard_normal(len(time_s))
+        made.append(replace(one, time_s=time_s, inputs=torque[:, None], outputs=seen[:, None]))
+    return wandering(replace(never_repeated(), trials=tuple(made)), slow)
+
+
+def deviations_of(data: Dataset) -> list[tuple[DeviationKind, int | None]]:
+    found = recalibrate(pendulum(), averaged(data, pendulum()), np.random.default_rng(0), silent)
+    return [(one.kind, one.output) for one in found.problem.deviations]
+
+
+def test_a_sensor_whose_noise_is_slow_does_not_let_trials_begin_elsewhere() -> None:
+    assert deviations_of(begun((0.0,) * 5, slow=0.01, rate_hz=500.0)) == []
+
+
+@pytest.mark.parametrize("slow", [0.0, 0.004])
+def test_trials_that_begin_where_a_hand_let_go_are_told(slow: float) -> None:
+    assert ("initial state", 0) in deviations_of(begun((0.05, -0.04, 0.08, 0.02, -0.06), slow))
