@@ -159,6 +159,20 @@ def test_a_tolerance_settles_what_the_data_cannot_and_keeps_its_width() -> None:
     assert 0.5 * (stiffness.ci95[1] - stiffness.ci95[0]) == pytest.approx(1.96 * 0.05 * 40, rel=0.35)
 
 
+def test_what_moved_is_not_said_to_rest_on_its_stated_value() -> None:
+    dataset = driven(np.random.default_rng(11), 4, noise=0.001, scatter=0.2)
+    stated = oscillator(stiffness=0.1, damping=0.0).with_values({"stiffness": 34.0})
+    result = fit_model(stated, dataset, rng=np.random.default_rng(0), starts=1)
+    stiffness = result.parameters["stiffness"]
+    away = abs(stiffness.value - 34.0) / 3.4
+    assert 1.0 < away < 3.0
+    assert stiffness.ci95[1] - stiffness.ci95[0] > 2 * 1.96 * 3.4
+    said = [warning for warning in result.warnings if warning.startswith("stiffness")]
+    assert len(said) == 1
+    assert f"moved {away:.1f} standard deviations of its tolerance from the stated 34 N/m" in said[0]
+    assert "the model lacks something" in said[0]
+
+
 def test_strong_data_overrule_a_wrong_stated_value_and_say_so() -> None:
     dataset = driven(np.random.default_rng(6), 6, noise=0.001)
     wrong = oscillator(mass=0.02).with_values({"mass": 1.2})
