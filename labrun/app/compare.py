@@ -88,7 +88,7 @@ def compare(
         Which recorded channel is which input or output of the model; adds to the experiment's own.
     results
         Where runs are. The comparison of a run is kept in its folder, under ``compare/``; that of a recording in
-        ``<results>/<recording>/compare-<time>/``.
+        ``<results>/<experiment>/compare-<time>/``.
 
     Raises
     ------

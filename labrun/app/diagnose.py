@@ -201,7 +201,7 @@ def store(
     target
         The run folder, run.h5 or recording folder it is of. A run keeps it in its own folder ``gap``, an earlier one in
         ``gap-1``, ``gap-2`` and so on, the oldest first; that of a recording goes to
-        ``results/<recording>/gap-<time>``.
+        ``results/<experiment>/gap-<time>``, by the name that it states.
     results
         Folder of the runs.
     source

@@ -63,7 +63,7 @@ def fit(
         How many; None is what the method takes by itself.
     results
         Where runs are. The fit of a run is kept in the run's own folder, under ``fit/``; that of a recording, which is
-        never written to, in ``<results>/<recording>/fit-<time>/``.
+        never written to, in ``<results>/<experiment>/fit-<time>/``.
     workspace
         Where a person works: experiments and model files are looked for here.
     note

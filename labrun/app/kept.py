@@ -9,7 +9,7 @@ from typing import Any
 
 from labrun.errors import RequestError, StoreError
 from labrun.json_numbers import finite
-from labrun.store import is_recording, replace_durably
+from labrun.store import is_recording, recording_name, replace_durably
 
 FOLDER = "gap"
 NUMBERS = "diagnosis.json"
@@ -78,10 +78,13 @@ def read_stored(run: Path) -> Mapping[str, Any]:
 
 
 def kept_folder(target: Path, results: Path, what: str) -> Path:
-    """Return where an answer about a run is kept, its folder `what`; of a recording, a new one below `results`."""
+    """Return where an answer about a run is kept, its folder `what`.
+
+    Of a recording, a new one below `results`, beside the runs of its name.
+    """
     if is_recording(target):
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-        return results / target.resolve().name / f"{what}-{stamp}-{secrets.token_hex(2)}"
+        return results / recording_name(target) / f"{what}-{stamp}-{secrets.token_hex(2)}"
     return (target.parent if target.is_file() else target) / what
 
 

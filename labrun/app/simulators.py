@@ -16,7 +16,7 @@ from labrun.fit import Note, load_dataset, silent
 from labrun.gap import parameter_ranges, require_new
 from labrun.gap import save_model as write_model
 from labrun.models import Exported, MjcfRange, load_model, mjcf_of, mjcf_ranges
-from labrun.store import find_data, is_recording, replace_durably, saving
+from labrun.store import find_data, is_recording, recording_name, replace_durably, saving
 
 _ISAAC = {
     "dof_damping": ("randomize_actuator_gains", "damping_distribution_params", "joint_names"),
@@ -163,12 +163,18 @@ def _diagnosis(path: Path, target: str, results: Path) -> Mapping[str, Any]:
     named = find_data(target, results)
     if not is_recording(named):
         return read_stored(named)
-    found = sorted(
-        (results / named.resolve().name).glob(f"gap-*/{NUMBERS}"), key=lambda one: one.stat().st_mtime
+    kept = sorted(
+        (results / recording_name(named)).glob(f"gap-*/{NUMBERS}"),
+        key=lambda one: one.stat().st_mtime,
+        reverse=True,
     )
-    if not found:
-        raise RequestError(f"{target} has no diagnosis yet", hint=f"labrun gap diagnose {target} makes one")
-    return dict(json.loads(found[-1].read_text(encoding="utf-8")))
+    for one in kept:
+        stored = dict(json.loads(one.read_text(encoding="utf-8")))
+        source = Path(str(stored.get("source", "")))
+        # another recording may state the same name; one that is no longer there may be this one, moved
+        if not is_recording(source) or source.resolve() == named.resolve():
+            return stored
+    raise RequestError(f"{target} has no diagnosis yet", hint=f"labrun gap diagnose {target} makes one")
 
 
 def _ranges(found: list[MjcfRange], stored: Mapping[str, Any]) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from labrun.store.recording import (
     imported_source,
     is_recording,
     read_recording,
+    recording_name,
 )
 from labrun.store.timing import JUMP_S, StreamReport, stream_report
 from labrun.store.trial import (
@@ -48,6 +49,6 @@ __all__ = [
     "check_names", "collect", "dated", "export_run", "find_data", "find_run", "find_unfinished", "import_recording",
     "imported_channels", "imported_source", "is_finished", "is_recording", "json_ready", "known_units",
     "lacking_room", "lock_ports", "mean_truncation", "open_run", "open_target", "read_recording", "read_trace",
-    "remarks_of", "replace_durably", "require_writable", "run_dataset", "saving", "settle_curve",
+    "recording_name", "remarks_of", "replace_durably", "require_writable", "run_dataset", "saving", "settle_curve",
     "stream_report", "tare_of", "trial_dataset", "trials_frame", "undated",
 ]  # fmt: skip

@@ -264,6 +264,12 @@ def is_recording(folder: Path) -> bool:
     return (folder / "recording.toml").is_file()
 
 
+def recording_name(folder: Path) -> str:
+    """Return the name that a recording states; the folder's where it states none, or has faults."""
+    contents, faults = read_toml(folder / "recording.toml")
+    return folder.resolve().name if faults else contents.name
+
+
 def read_recording(folder: Path) -> Recording:
     """Read a recording, checking all of it.
 

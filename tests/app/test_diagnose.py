@@ -8,7 +8,7 @@ import gap_examples as examples
 import pytest
 
 from labrun.app.diagnose import store
-from labrun.app.kept import read_stored
+from labrun.app.kept import kept_folder, read_stored
 from labrun.errors import RequestError
 from labrun.gap import Sizes
 from labrun.store import find_data
@@ -47,6 +47,23 @@ def test_a_recording_is_never_written_to(recording, tmp_path):
     assert [path.name for path in recording.iterdir()] == ["recording.toml"]
     assert first.numbers.parent.parent == results / "ring-down"
     assert first.numbers != second.numbers
+
+
+@pytest.mark.parametrize(
+    ("said", "name"),
+    [
+        ('experiment = "pendulum"', "pendulum"),
+        ("", "ring-down"),
+        ('experiment = "../out"', "ring-down"),
+        ("= 3", "ring-down"),
+    ],
+    ids=["stated", "not stated", "no name of a folder", "no TOML"],
+)
+def test_an_answer_about_a_recording_is_kept_under_the_name_that_it_states(recording, tmp_path, said, name):
+    channel = '[channels.angle]\nkind = "output"\nunit = "rad"\n[[trials]]\nfile = "1.csv"\n'
+    (recording / "recording.toml").write_text(f"{said}\n{channel}")
+    for what in ("gap", "fit", "compare"):
+        assert kept_folder(recording, tmp_path / "results", what).parent == tmp_path / "results" / name
 
 
 def test_without_a_page_nothing_is_drawn(tmp_path):

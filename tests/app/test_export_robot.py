@@ -95,6 +95,29 @@ def test_ranges_are_fields_of_isaac_lab_and_mjlab(tmp_path):
     assert mujoco.MjModel.from_xml_path(str(made.file)).dof_damping.ravel()[0] == pytest.approx(0.29)
 
 
+def test_of_recordings_that_state_one_name_each_has_its_own_diagnosis(tmp_path):
+    results = tmp_path / "results"
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        stored = diagnosed(tmp_path / name)
+        kept = results / "arm" / f"gap-{name}"
+        kept.mkdir(parents=True)
+        stored.rename(kept / "diagnosis.json")
+    told = json.loads((results / "arm" / "gap-first" / "diagnosis.json").read_text())
+    told["corrected"] = {"shoulder_damping": 0.25}
+    (results / "arm" / "gap-first" / "diagnosis.json").write_text(json.dumps(told))
+    made = [
+        export_robot(tmp_path / name, tmp_path / f"{name}.xml", results=results).file
+        for name in ("first", "second")
+    ]
+    damping = [float(mujoco.MjModel.from_xml_path(str(one)).dof_damping[0]) for one in made]
+    assert damping == pytest.approx([0.25, 0.29])
+    (tmp_path / "third").mkdir()
+    diagnosed(tmp_path / "third").unlink()
+    with pytest.raises(RequestError, match="has no diagnosis yet"):
+        export_robot(tmp_path / "third", tmp_path / "third.xml", results=results)
+
+
 def test_a_robots_own_file_is_told_what_makes_a_corrected_model_of_it(tmp_path):
     (tmp_path / "arm.xml").write_text("<mujoco/>")
     with pytest.raises(RequestError, match=r"arm.xml is neither a corrected model nor a run") as refused:
