@@ -151,3 +151,14 @@ def test_a_file_that_mujoco_cannot_read_is_told(tmp_path, text):
     (tmp_path / "a.xml").write_text(text)
     with pytest.raises(ModelError, match="MuJoCo cannot read"):
         load_model(tmp_path / "a.xml")
+
+
+def test_the_file_says_that_inertia_follows_mass_and_why_a_servos_kv_stays(two):
+    two.write_text(MJCF.replace('<velocity name="v" joint="j-1" kv="2"/>', ""))
+    lines = robot_table(read_robot(two)).splitlines()
+    said = next(place for place, line in enumerate(lines) if line.startswith("# a body's inertia"))
+    assert lines[said - 1] == "[mjcf]"
+    assert any(line.startswith('"body.x.inertia[0]" = ') for line in lines[said + 1 :])
+    gain = next(place for place, line in enumerate(lines) if line.startswith("p_kp = "))
+    assert lines[gain + 1].startswith("# its kv of 1 stays")
+    assert not any(line.startswith("# its kv") for line in lines[gain + 2 :])

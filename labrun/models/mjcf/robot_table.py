@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from labrun.models.mjcf.inverse import JointDrive, far_end, robot_terms, tip_body
+from labrun.models.mjcf.inverse import JointDrive, RobotTerms, far_end, robot_terms, tip_body
 from labrun.models.mjcf.plant import imported
 from labrun.models.mjcf.robot import Robot, RobotJoint, identifier
 
@@ -166,13 +166,16 @@ def _lines(
     for one in robot.actuators:
         between = "hold" if one.command in ("position", "velocity") else "linear"
         yield f'{one.input} = {{ mjcf = "actuator.{one.name}", unit = "{one.unit}", between = "{between}" }}'
+    terms = robot_terms(robot.xml, [one.name for one in robot.joints])
     parameters, equations = around(
         robot.xml, {body: f"{identifier(body)}_mass" for body in heavy_bodies(robot.xml)}
     )
     yield "[parameters]"
-    yield from _parameters(robot, equations)
+    yield from _parameters(robot, terms, equations)
     yield from parameters
     yield "[mjcf]"
+    if any(".inertia[" in reference for reference in equations):
+        yield "# a body's inertia grows in proportion to its mass: the shape stays, the density changes"
     for reference, equation in equations.items():
         yield f'"{reference}" = "{equation}"'
     yield "[outputs]"
@@ -180,14 +183,13 @@ def _lines(
         yield f'{joint.output} = {{ mjcf = "joint.{joint.name}.position", unit = "{joint.unit}" }}'
     for name, (reference, unit) in shown.items():
         yield f'{name} = {{ mjcf = "{reference}", unit = "{unit}" }}'
-    terms = robot_terms(robot.xml, [one.name for one in robot.joints])
     for joint in robot.joints:
         yield f"[sites.{joint.output}]"
         yield 'kind = "joint"'
         yield f'joint = "{joint.name}"'
         if joint.sprung:
             yield f'stiffness = "{joint.output}_stiffness"'
-        if effort := _effort(robot, joint, terms.drives.get(joint.name)):
+        if effort := _effort(robot, joint, _only_drive(robot, terms, joint.name)):
             yield f'load = "{effort}"'
             yield "drive = true"
     yield "[initial]"
@@ -198,25 +200,30 @@ def _lines(
             yield f'{joint.output}_rate = "free"'
 
 
+def _only_drive(robot: Robot, terms: RobotTerms, joint: str) -> JointDrive | None:
+    """Return the drive of a joint; None where it has none, or several."""
+    return terms.drives.get(joint) if sum(one.joint == joint for one in robot.actuators) == 1 else None
+
+
 def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
     """Return the equation of what a joint's drive puts on it: the load of effects in gear and drive; "" if unknown."""
-    found = [one for one in robot.actuators if one.joint == joint.name]
-    if drive is None or len(found) != 1:
+    if drive is None:
         return ""
+    found = next(one for one in robot.actuators if one.joint == joint.name)
     braked = f" - {drive.kv!r}*{joint.output}_rate" if drive.kv else ""
     efforts = {
-        "torque": f"{drive.gear!r}*{found[0].input}",
-        "geared": f"{drive.gear!r}*{found[0].input}",
-        "position": f"{identifier(found[0].name)}_kp*({found[0].input} - {joint.output}){braked}",
+        "torque": f"{drive.gear!r}*{found.input}",
+        "geared": f"{drive.gear!r}*{found.input}",
+        "position": f"{identifier(found.name)}_kp*({found.input} - {joint.output}){braked}",
     }
-    effort = efforts.get(found[0].command, "")
+    effort = efforts.get(found.command, "")
     low, high = drive.limits
     return f"clip({effort}, {low!r}, {high!r})" if effort and np.isfinite([low, high]).all() else effort
 
 
-def _parameters(robot: Robot, set_elsewhere: Collection[str]) -> Iterator[str]:
+def _parameters(robot: Robot, terms: RobotTerms, set_elsewhere: Collection[str]) -> Iterator[str]:
     names = [one.name for one in robot.joints]
-    armature = dict(zip(names, robot_terms(robot.xml, names).armature, strict=True))
+    armature = dict(zip(names, terms.armature, strict=True))
     added = {one.joint for one in robot.actuators if one.added}
     for joint in robot.joints:
         per = "N m s/rad" if joint.unit == "rad" else "N s/m"
@@ -245,7 +252,12 @@ def _parameters(robot: Robot, set_elsewhere: Collection[str]) -> Iterator[str]:
             f'{stem}_kp = {{ mjcf = "actuator.{actuator.name}.kp", tolerance = {tolerance}, '
             f'unit = "{force}/{unit}", lower = 0.0 }}'
         )
-        # of a servo's damping the motion shows no more than its sum with the joint's: one of them is enough to fit
+        drive = _only_drive(robot, terms, actuator.joint)
+        if drive is not None and drive.kv:
+            yield (
+                f"# its kv of {drive.kv:g} stays: motion shows no more than its sum with the joint's damping, "
+                "which is fitted for both"
+            )
     for name, mass in heavy_bodies(robot.xml).items():
         place = f"body.{name}.mass"
         value = f"value = {mass!r}" if place in set_elsewhere else f'mjcf = "{place}"'
