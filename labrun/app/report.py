@@ -169,7 +169,7 @@ def confirmed_best(view: RunView) -> Best | None:
 
 def _beside(findings: Findings) -> Path:
     if is_recording(findings.run.path):
-        return Path(f"{findings.run.path.name}-{REPORT}")
+        return Path(f"{findings.run.name}-{REPORT}")
     if findings.folder is not None:
         return findings.folder / REPORT
     return findings.run.path.with_name(f"{findings.run.path.stem}-{REPORT}")
