@@ -103,6 +103,8 @@ def import_(
 ) -> None:
     """Import a recording made elsewhere as a run, or a robot's log as a recording.
 
+    A recording written by hand needs neither: fit, gap diagnose, check and show take its folder as it is.
+
     Columns of a log are matched with the model by name; what is unclear is listed with a proposal, for --map.
 
     Example:  labrun import recordings/ring-down
