@@ -62,7 +62,7 @@ def test_a_folder_that_cannot_be_written_to_is_told_before_anything_is_computed(
     assert notes == []
 
 
-def test_a_recording_has_a_report_of_its_name_in_the_current_folder_and_is_left_as_it_is(tmp_path, monkeypatch):
+def test_a_recording_has_a_report_of_its_name_here_and_is_left_as_it_is(tmp_path, monkeypatch):
     recording = tmp_path / "swing"
     recording.mkdir()
     (recording / "0.csv").write_text("time_s,angle\n0,0.1\n0.1,0.2\n0.2,0.1\n")
