@@ -27,6 +27,7 @@ Quantity = Literal[
     "signal",
     "signal-rate",
     "time",
+    "acceleration-time",
     "time-per-coordinate",
     "per-coordinate",
     "ratio",
@@ -44,7 +45,8 @@ class Scale:
 
     The default 1 everywhere leaves an effect's numbers as they stand. `inertia` is what moves already: a free axis
     goes far in a long trial by a force that would hardly accelerate it. `travel` is half the way from end to end
-    (0: as far as the peak excursion).
+    (0: as far as the peak excursion). `acceleration_time_s` is the period in which accelerations come and go: such a
+    free axis also goes about slowly, however fast it is shaken (0: as `time_s`).
     """
 
     coordinate: float = 1.0
@@ -55,6 +57,7 @@ class Scale:
     time_s: float = 1.0
     inertia: float = 0.0
     travel: float = 0.0
+    acceleration_time_s: float = 0.0
 
     def of(self, quantity: Quantity) -> float:
         """Return the typical magnitude of a quantity, SI."""
@@ -71,6 +74,7 @@ class Scale:
             "signal": self.signal,
             "signal-rate": self.signal / self.time_s,
             "time": self.time_s,
+            "acceleration-time": self.acceleration_time_s or self.time_s,
             "time-per-coordinate": 1.0 / self.rate,
             "per-coordinate": 1.0 / (self.travel or self.coordinate),
             "ratio": 1.0,
@@ -83,6 +87,7 @@ def unit_of(quantity: Quantity, coordinate_unit: str = "rad", signal_unit: str =
     force = _FORCES.get(c, "force")
     units: dict[Quantity, str] = {
         "time": "s",
+        "acceleration-time": "s",
         "ratio": "1",
         "signal": signal_unit,
         "signal-rate": f"{signal_unit}/s",

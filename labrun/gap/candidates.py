@@ -112,14 +112,16 @@ def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> 
     force = _force(problem, z, place, still, (coordinate, rate))
     if force is None:
         return None
+    acceleration = acceleration if acceleration > 0 else rate / period
     return Scale(
         coordinate=coordinate,
         rate=rate,
-        acceleration=acceleration if acceleration > 0 else rate / period,
+        acceleration=acceleration,
         force=force,
         time_s=period,
         inertia=_inertia(problem, z, place, still, force),
         travel=float(np.ptp(np.clip(every[:, 0], *np.percentile(every[:, 0], _ENDS)))) / 2.0,
+        acceleration_time_s=2.0 * np.pi * rate / acceleration,
     )
 
 
