@@ -279,6 +279,12 @@ class Effect:
         """Tell whether it comes back along the coordinate: `periods`, with the sizes of its `sine` and its `cosine`."""
         return {"periods", "sine", "cosine"} == {one.name for one in self.parameters}
 
+    @property
+    def paced(self) -> bool:
+        """Tell whether internal states go at a pace that is fitted: that of a delay, or of what swings on a spring."""
+        times = {one.quantity for one in self.parameters if not one.held}
+        return self.states > 0 and bool(times & {"time", "acceleration-time"})
+
     def fits(self, site: Site, scale: Scale | None = None) -> bool:
         """Tell whether to look for it at a site: of its kind, with what it needs, without what replaces it.
 

@@ -158,6 +158,9 @@ FINER, FINEST, STEPS_DO = 4, 16, 0.005
 """Steps of the integrator are so many times shortened, to so many per sample, until that moves the squared residual by
 less than this part of the recalibrated one: with one step for 20 ms, dry friction removed 0.38 of a servo's gap, with
 sixteen 0.80."""
+STEPS_FOLLOW = 0.01
+"""Part of the squares by which an effect of a pace of its own changes the residuals that shorter steps may change them
+by: looked at in steps of 5 ms, a delay of 8 ms in a servo's loop promised to remove nothing, in shorter ones 95 %."""
 STEPS_STAY, STEPS_STAY_IN_BASE = 0.5, 0.1
 """Where that moves it more, trials that together make up this part of what it may move by keep longer steps: of a
 candidate, and of what others are added to. With half of it there, too, candidates beside a friction that left nothing

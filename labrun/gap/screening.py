@@ -12,7 +12,7 @@ from labrun.gap.candidates import Candidate, family
 from labrun.gap.diagnosis import Name
 from labrun.gap.lines import line_starts
 from labrun.gap.nuisance import NuisanceProjection
-from labrun.gap.steps import in_steps_for
+from labrun.gap.steps import in_steps_that_follow
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def survey(base: Base, candidate: Candidate) -> Survey:
             change, whole = _released(base, problem)
             rated.append((0.0, number, z, change, whole))
             continue
-        there = in_steps_for(problem, z)[1]
+        there = in_steps_that_follow(problem, z, base.residual)[1]
         if there is None:
             continue
         parts = [after - now for after, now in zip(there, base.residual, strict=True)]
@@ -198,7 +198,7 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     beside = base.nuisance.jacobian if surveyed.candidate.variables else None
     ends: list[tuple[float, Problem, FloatArray]] = []
     for start in starts:
-        problem, there = in_steps_for(surveyed.problem, start)
+        problem, there = in_steps_that_follow(surveyed.problem, start, base.residual)
         z = minimise(
             problem,
             start,

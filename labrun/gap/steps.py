@@ -24,6 +24,32 @@ def in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatAr
     return problem, there
 
 
+def in_steps_that_follow(
+    problem: Problem, z: FloatArray, before: Sequence[FloatArray]
+) -> tuple[Problem, list[FloatArray] | None]:
+    """Return `in_steps_for`, in steps that also follow what has a pace of its own.
+
+    In steps as long as a delay in a loop, its approximation is finite and another one: it shows nothing of the delay.
+
+    Parameters
+    ----------
+    before : per trial
+        Residuals of what the last effect is added to: by what it changes them, steps are judged.
+    """
+    problem, there = in_steps_for(problem, z)
+    effect = problem.effects[-1].effect if problem.effects else None
+    if effect is None or not effect.paced:
+        return problem, there
+    while there is not None and (finer := _in_finer_steps(problem)) is not problem:
+        after = finer.finite_residuals(z)
+        if after is None or _squares_between(after, there) <= criteria.STEPS_FOLLOW * _squares_between(
+            after, before
+        ):
+            break
+        problem, there = finer, after
+    return problem, there
+
+
 def in_shorter_steps(problem: Problem, z: FloatArray, moved: float) -> Problem:
     """Return the problem in shorter steps in the trials that ask for them at `z`, and there where they matter.
 
@@ -132,6 +158,10 @@ def _course(problem: Problem, z: FloatArray, index: int) -> FloatArray:
         effects=problem.attached(parameters),
     )
     return simulation.states if problem.model.states else simulation.outputs
+
+
+def _squares_between(one: Sequence[FloatArray], other: Sequence[FloatArray]) -> float:
+    return sum(float(np.sum(np.square(a - b))) for a, b in zip(one, other, strict=True))
 
 
 def _squares_by_trial(problem: Problem, z: FloatArray) -> FloatArray:

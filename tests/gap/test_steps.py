@@ -1,17 +1,21 @@
 """Every interval of a trial takes as many of the integrator's steps as what acts there asks for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from labrun.effects import Scale, load_effect
-from labrun.fit import Problem
+from labrun.fit import Dataset, FitTrial, Problem, silent
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
-from labrun.gap.candidates import Candidate
+from labrun.gap.candidates import Candidate, candidates, site_scales
 from labrun.gap.diagnosis import Name
-from labrun.gap.recalibration import stated_problem
+from labrun.gap.recalibration import recalibrate, stated_problem
+from labrun.gap.screening import Base, screen_all, survey
 from labrun.gap.steps import in_longer_steps, in_shorter_steps
-from labrun.models import Model
+from labrun.models import Model, parse_model
+from labrun.store import SignalInfo
 
 from .benches import CONDITIONS, pendulum, recorded
 
@@ -130,3 +134,70 @@ def test_intervals_that_were_shortened_are_lengthened_again_where_nothing_asks_f
 def test_no_steps_are_longer_than_those_that_are_taken_at_least(stopped) -> None:
     problem, z = stopped
     assert in_longer_steps(problem, z, problem.steps) is problem
+
+
+SERVO = """
+name = "servo"
+states = ["angle", "rate"]
+inputs = { goal = { unit = "rad", between = "hold" } }
+[parameters]
+inertia = { value = 0.025, tolerance = 0.05, unit = "kg m^2" }
+gain    = { value = 35.0,  tolerance = 0.1, unit = "N m/rad" }
+damping = { value = 0.9,   tolerance = "free", unit = "N m s/rad", lower = 0.0 }
+[equations]
+angle = "rate"
+rate  = "(force.joint + gain*(goal - angle) - damping*rate) / inertia"
+[outputs]
+angle = { equation = "angle", unit = "rad" }
+[sites.joint]
+kind = "joint"
+coordinate = "angle"
+rate = "rate"
+load = "gain*(goal - angle)"
+drive = true
+[initial]
+angle = 0.0
+rate = 0.0
+"""
+
+
+def test_a_delay_in_a_loop_is_looked_at_in_steps_that_are_short_beside_it() -> None:
+    made = late_servo(0.01)
+    model = parse_model(SERVO, "servo.toml")
+    recalibrated = recalibrate(model, averaged(made, model), np.random.default_rng(0), silent)
+    problem, z = recalibrated.problem, recalibrated.z
+    base = Base.of(problem, z)
+    (late,) = [
+        one
+        for one in candidates(model, site_scales(problem, z), ())
+        if one.name == Name("loop-delay", "joint")
+    ]
+    assert survey(base, late).potential > 0.7 * base.squares
+    (found,) = screen_all(base, [survey(base, late)])
+    assert found.sizes[0] * late.scale.of("time") == pytest.approx(0.01, rel=0.1)
+    assert found.gain > 0.98 * base.squares
+
+
+def late_servo(delay_s: float) -> Dataset:
+    """Return steps of a servo, logged every 10 ms, whose controller's torque comes late."""
+    rng, trials, step_s = np.random.default_rng(3), [], 5e-4
+    for size in (0.2, 0.4, 0.6):
+        time_s = np.arange(0.0, 3.0, 0.01)
+        goal = size * np.sign(np.sin(2 * np.pi * 0.9 * time_s)) * (time_s > 0.1)
+        angle, rate, coming, seen = 0.0, 0.0, [0.0] * round(delay_s / step_s), []
+        for aim in goal:
+            seen.append(angle)
+            for _ in range(round(0.01 / step_s)):
+                coming.append(35.5 * (aim - angle))
+                torque = coming.pop(0)
+                rate += step_s * (torque - 0.85 * rate) / 0.0255
+                angle += step_s * rate
+        measured = np.array(seen) + 1e-3 * rng.standard_normal(len(seen))
+        condition = {"step_rad": size}
+        trials.append(FitTrial(f"{size} rad", condition, 1, time_s, goal[:, None], measured[:, None]))
+    return replace(
+        recorded(repeats=1, conditions=CONDITIONS[:2]),
+        name="servo",
+        inputs=(SignalInfo("goal", "rad", "hold"),),
+        trials=tuple(trials),
+    )
