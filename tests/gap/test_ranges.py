@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from labrun.effects import Scale, load_effect
 from labrun.fit import Dataset, OutputNoise
@@ -21,7 +22,7 @@ from labrun.gap.screening import Base, follow, rough, survey
 from labrun.models import parse_model
 from labrun.store import SignalInfo
 
-from .benches import PENDULUM, Force, dry_friction, pendulum, recorded
+from .benches import PENDULUM, FloatArray, Force, dry_friction, pendulum, recorded
 
 QUICK = Options(places=False)
 
@@ -146,3 +147,51 @@ def test_a_candidate_that_is_fitted_in_a_wider_range_is_not_of_another_form() ->
     best = best_form(base, fitted, fitted.gain, NoiseThreshold(10.0, 1.0))
     assert best.candidate is not candidate
     assert best.usual is None
+
+
+VESSEL = """
+name = "vessel"
+states = ["position", "speed"]
+inputs = { thrust = { unit = "N", between = "hold" } }
+[parameters]
+mass = { value = 40.0, tolerance = 0.03, unit = "kg" }
+drag = { value = 30.0, tolerance = 0.05, unit = "N s^2/m^2" }
+[equations]
+position = "speed"
+speed = "(force.hull + thrust - drag*speed*abs(speed)) / mass"
+[outputs]
+speed = { equation = "speed", unit = "m/s" }
+[sites.hull]
+kind = "body"
+coordinate = "position"
+rate = "speed"
+unit = "m"
+[initial]
+position = 0.0
+speed = 0.0
+"""
+
+
+def test_a_current_is_found_with_a_drag_far_larger_than_what_moves_a_body_as_far() -> None:
+    time_s = np.arange(0.0, 120.0, 0.2)
+    thrust = np.where(time_s % 30.0 < 6.0, 12.0, 0.0)  # it coasts, and is easily pushed then
+
+    def slope(t: float, x: FloatArray) -> list[float]:
+        past = x[0] - 0.15
+        return [(thrust[min(int(t / 0.2 + 1e-9), len(thrust) - 1)] - 30.0 * past * abs(past)) / 40.0]
+
+    moved = solve_ivp(slope, (0.0, 120.0), [0.0], t_eval=time_s, rtol=1e-8, atol=1e-10, max_step=0.1)
+    speed = moved.y[0] + 0.01 * np.random.default_rng(2).standard_normal(len(time_s))
+    trial = FitTrial("log", {}, 1, time_s, thrust[:, None], speed[:, None])
+    data = replace(
+        recorded(repeats=1),
+        name="vessel",
+        inputs=(SignalInfo("thrust", "N", "hold"),),
+        outputs=(SignalInfo("speed", "m/s", "linear"),),
+        trials=(trial,),
+    )
+    found = diagnose_dataset(data, parse_model(VESSEL, "vessel.toml"), QUICK)
+    (cause,) = found.causes
+    assert str(cause.name) == "mean-current at hull"
+    assert cause.values["coefficient"].value == pytest.approx(30.0, rel=0.05)
+    assert cause.values["speed"].value == pytest.approx(0.15, rel=0.1)
