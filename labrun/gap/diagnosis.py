@@ -18,18 +18,24 @@ class Learnable:
         In pieces of time that it did not see, of conditions that it knows.
     conditions
         In conditions that it did not see; None where there is one only.
+    why_no_noise
+        What else tells that it is no noise, in words; "" if nothing does.
     """
 
     pieces: float
     conditions: float | None
+    why_no_noise: str = ""
 
     @property
     def sentence(self) -> str:
         """What it says."""
         most = 100 * max(self.pieces, self.conditions or 0.0)
-        if round(most) == 0:
-            return "Of what is left, nothing could be learned: all of it may be noise"
-        return f"Of what is left, at least {most:.0f} % could be learned, at most {100 - most:.0f} % is noise"
+        if round(most) > 0:
+            return f"Of what is left, at least {most:.0f} % could be learned, at most {100 - most:.0f} % is noise"
+        said = (
+            f", but noise it is not: {self.why_no_noise}" if self.why_no_noise else ": all of it may be noise"
+        )
+        return f"Of what is left, nothing could be learned{said}"
 
 
 @dataclass(frozen=True, slots=True)

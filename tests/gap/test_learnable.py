@@ -8,9 +8,10 @@ import pytest
 from swings import dataset_of, swing
 
 from labrun.gap.averaging import averaged
-from labrun.gap.diagnosis import Learnable
+from labrun.gap.diagnosis import BeyondScatter, Learnable, Sizes
 from labrun.gap.learnable import beyond_scatter, learnable_share
 from labrun.gap.recalibration import recalibrate
+from labrun.gap.verdict import VerdictBasis
 from labrun.models import load_model
 from labrun.report.gap_text import gap_lines
 
@@ -71,3 +72,13 @@ def test_a_diagnosis_says_what_could_be_learned(conditions, told):
     assert "at least 80 % could be learned, at most 20 % is noise" in line
     assert len(lines) <= 20
     assert diagnosis.to_json()["learnable"] == {"pieces_of_time": 0.8, "conditions": conditions}
+
+
+def test_what_nothing_learns_is_noise_unless_something_else_tells_that_it_is_not():
+    assert Learnable(0.001, 0.0).sentence.endswith("nothing could be learned: all of it may be noise")
+    lines = VerdictBasis(
+        Sizes(5.0, 4.0, 0.4, 0.15), True, False, 1, beyond_scatter=BeyondScatter(chance_of_lines=1e-9)
+    )
+    assert lines.left_is_gap
+    told = Learnable(0.001, 0.0, lines.why_no_noise).sentence
+    assert told.endswith("nothing could be learned, but noise it is not: its spectrum has lines")
