@@ -29,6 +29,8 @@ SAME_BEGINNING = 5.0
 BEGINNING, BEGINNING_SAMPLES, NO_DEVIATION = 0.05, 3, 0.3
 """Part of a typical period that counts as a trial's beginning, at least so many samples; and the fitted size of a
 deviation by trial, in units of what was estimated, below which something else has taken its place."""
+STILL_WHOLE = 0.9
+"""Part of what a trial begins with that its output still shows as long as it counts as the beginning there."""
 FEWEST_ALIGNED_SAMPLES = 8
 """Shorter repeats are not carried over to one time base, and say nothing about how they begin."""
 MOST_CONDITIONS = 8

@@ -281,6 +281,8 @@ def _looked_at_alone(
     taken = float(np.sum(np.square(own - shared) * whole))
     if taken < criteria.DEVIATION_SHARE * total:
         return None
+    if kind == "initial state" and not _seen_at_the_beginning(shapes, away, own - shared):
+        return None
     freedom = trials - int(shared != 0.0), trials * (blocks - 1)
     within = float(np.sum(np.square(size - own[:, None]) * energy)) / freedom[1]
     chance = float(f.sf(taken / freedom[0] / max(within, 1e-300), *freedom))
@@ -291,6 +293,26 @@ def _looked_at_alone(
         after.append(cleared)
     sd = float(np.sqrt(np.sum(np.square(own - shared)) / freedom[0]))
     return _Alone(taken / total, Deviation(kind, output, sd), after, chance <= criteria.DEVIATION_P)
+
+
+def _seen_at_the_beginning(
+    shapes: Sequence[FloatArray], residual: Sequence[FloatArray], own: FloatArray
+) -> bool:
+    """Tell whether less is left at the beginning of trials without what they are said to begin with.
+
+    A drag that acts at some angles only looks, over whole trials, like releases from elsewhere; first samples know
+    better. A state that no output shows at once leaves nothing to ask.
+    """
+    before = after = 0.0
+    for shape, one, size in zip(shapes, residual, own, strict=True):
+        column = int(np.argmax(np.abs(shape[0])))
+        still = np.abs(shape[:, column]) >= criteria.STILL_WHOLE * np.abs(shape[0, column])
+        if shape[0, column] == 0.0:
+            return True
+        count = len(still) if np.all(still) else int(np.argmin(still))
+        before += float(np.mean(one[:count, column])) ** 2
+        after += float(np.mean((one - size * shape)[:count, column])) ** 2
+    return after < before
 
 
 def _cut(first: FloatArray, second: FloatArray, blocks: int) -> tuple[list[FloatArray], list[FloatArray]]:

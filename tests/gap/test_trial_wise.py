@@ -235,3 +235,18 @@ def test_a_sensor_whose_noise_is_slow_does_not_let_trials_begin_elsewhere() -> N
 @pytest.mark.parametrize("slow", [0.0, 0.004])
 def test_trials_that_begin_where_a_hand_let_go_are_told(slow: float) -> None:
     assert ("initial state", 0) in deviations_of(begun((0.05, -0.04, 0.08, 0.02, -0.06), slow))
+
+
+@pytest.mark.parametrize(("grows", "told"), [(False, [("initial state", 0)]), (True, [])])
+def test_what_trials_begin_with_is_told_only_if_their_first_samples_show_it(
+    grows: bool, told: list[tuple[DeviationKind, int | None]]
+) -> None:
+    data = never_repeated()
+    changes = [np.cos(4.0 * one.time_s)[:, None] for one in data.trials]
+    sizes = [0.01, -0.008, 0.012, -0.02, 0.004]
+    left = [
+        size * change * ((1.0 - np.exp(-one.time_s / 0.3))[:, None] if grows else 1.0) + noise
+        for size, change, one, noise in zip(sizes, changes, data.trials, noise_like(data, 1e-3), strict=True)
+    ]
+    found = found_alone(data, left, [np.zeros_like(one) for one in left], {("initial state", 0): changes})
+    assert [(one.kind, one.output) for several in found[:1] for one in several] == told
