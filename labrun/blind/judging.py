@@ -182,7 +182,7 @@ class Said:
         return cls(
             case,
             said["verdict"],
-            tuple(_named(one) for one in said["causes"]),
+            tuple(_named(one, said.get("candidates", ())) for one in said["causes"]),
             None if share is None else Shrunk(share["value"], *share["ci90"]),
             float(said["seconds"]),
         )
@@ -338,7 +338,16 @@ def _is_probability(value: Any) -> bool:
     return isinstance(value, float | int) and 0.0 <= value <= 1.0
 
 
-def _named(one: Mapping[str, Any]) -> Named:
-    rivals = tuple(CauseName.from_json(rival) for rival in one["indistinguishable_from"])
+def _named(one: Mapping[str, Any], candidates: Sequence[Mapping[str, Any]]) -> Named:
+    """Return an announced cause with its whole set: behind its first rival all further ones of the table."""
+    cause = CauseName.from_json(one)
+    told = [CauseName.from_json(rival) for rival in one["indistinguishable_from"]]
+    further = [
+        CauseName.from_json(other)
+        for other in candidates
+        if other["verdict"] == "indistinguishable"
+        and any(CauseName.from_json(of).same(cause) for of in other["indistinguishable_from"])
+    ]
+    rivals = (*told, *(other for other in further if not any(other.same(rival) for rival in told)))
     intervals = {name: tuple(value["ci95"]) for name, value in one.get("values", {}).items()}
-    return Named(CauseName.from_json(one), rivals, float(one["confidence"]), intervals)
+    return Named(cause, rivals, float(one["confidence"]), intervals)

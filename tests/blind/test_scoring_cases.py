@@ -1,5 +1,8 @@
 """Scores of hand-made answers."""
 
+from dataclasses import asdict
+from typing import Any
+
 from labrun.blind.judging import CauseName, Judged, Named, Said, Shown, Shrunk, Truth, judge, sizes_held
 from labrun.blind.scoring import confusion, score
 
@@ -141,6 +144,17 @@ def test_a_confidence_that_is_no_probability_is_an_error_of_its_case() -> None:
         assert judge(truth("effect", LAG), spoken).outcome == "error"
     spoken = Said.from_json("case-0001", {**told, "causes": [{**cause, "confidence": 0.5}]})
     assert outcome(truth("effect", LAG), spoken) == "named"
+
+
+def test_a_set_is_as_large_as_the_table_of_candidates_tells() -> None:
+    def told(cause: CauseName, *alike: CauseName) -> dict[str, Any]:
+        return {**asdict(cause), "confidence": 0.6, "indistinguishable_from": [asdict(one) for one in alike]}
+
+    rivals = [{**told(one, LAG), "verdict": "indistinguishable"} for one in (COULOMB, ELSEWHERE)]
+    spoken = {"verdict": "explained", "seconds": 1.0, "causes": [told(LAG, COULOMB)], "candidates": rivals}
+    assert outcome(truth("effect", LAG), Said.from_json("case-0001", spoken)) == "set-too-large"
+    spoken["candidates"] = rivals[:1]
+    assert outcome(truth("effect", LAG), Said.from_json("case-0001", spoken)) == "named"
 
 
 def test_a_control_that_raised_does_not_make_false_alarms_rarer() -> None:
