@@ -443,7 +443,21 @@ class Selector:
         best = preferred(current.rated, left, least=least, relative=self.null.relative)
         if best is None:
             return None
-        return self._taken(more_common(best, current.rated, relative=self.null.relative), current)
+        one = self._taken(more_common(best, current.rated, relative=self.null.relative), current)
+        return one if self._has_learned(one, current, left) else None
+
+    def _has_learned(self, one: Chosen, current: Round, left: ExcessResidual) -> bool:
+        """Tell whether a second cause that was taken in for what could be learned of the rest has taken that away.
+
+        What mends a part of what is wrong with the first one's form leaves as much to be learned as before.
+        """
+        if current.learnable == 1.0:
+            return True
+        removed = 1.0 - one.held_out.total / left.total if left.total > 0.0 else 1.0
+        if removed >= self._least_to_remove(current.base, left, 1.0):
+            return True
+        still = self._learned_of(one.base) * one.held_out.total
+        return still <= (1.0 - criteria.SMALL_OF_LEFT) * current.learnable * left.total
 
     def _least_to_remove(self, base: Base, left: ExcessResidual, learnable: float) -> float:
         """Return the part of what a base leaves that a further cause has to remove; 0 for the first."""
@@ -451,8 +465,11 @@ class Selector:
         return least_to_remove(left, self.reference, beside, learnable, self.small_gap) if beside else 0.0
 
     def _learnable(self, base: Base) -> float:
-        if len(base.added) != 1 or not self.null.relative:
-            return 1.0
+        return self._learned_of(base) if len(base.added) == 1 and self.null.relative else 1.0
+
+    @staticmethod
+    def _learned_of(base: Base) -> float:
+        """Return the part of what a base leaves that a regression learns."""
         ways = [False, True] if len(base.problem.data.conditions) > 1 else [False]
         return max(learnable_share(base.problem, base.z, conditions=one) for one in ways)
 
