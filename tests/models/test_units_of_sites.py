@@ -34,13 +34,23 @@ speed = 0.0
     [
         ('unit = "m"', 'way = { equation = "way", unit = "rad" }', "N m/rad", "joint", "m"),
         ("", 'way = { equation = "way", unit = "m" }', "N m/rad", "joint", "m"),
+        ("", 'encoder = { equation = "way", unit = "m" }', "N m/rad", "joint", "m"),
         ("", 'speed = { equation = "speed", unit = "m/s" }', "1/s^2", "joint", "m"),
         ("", "", "N/m", "joint", "m"),
         ("", "", "N m/rad", "body", "rad"),
         ("", "", "1/s^2", "joint", "rad"),
         ("", "", "1/s^2", "body", "m"),
     ],
-    ids=["said", "output", "rate", "spring", "spring of a body", "a joint turns", "a body moves"],
+    ids=[
+        "said",
+        "output",
+        "output by another name",
+        "rate",
+        "spring",
+        "spring of a body",
+        "a joint turns",
+        "a body moves",
+    ],
 )
 def test_the_unit_is_said_or_shown_or_that_of_the_spring_or_of_the_kind(said, output, spring, kind, unit):
     model = parse_model(MODEL.format(said=said, output=output, spring=spring, kind=kind), "slide.toml")
