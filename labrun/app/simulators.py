@@ -168,13 +168,25 @@ def _diagnosis(path: Path, target: str, results: Path) -> Mapping[str, Any]:
         key=lambda one: one.stat().st_mtime,
         reverse=True,
     )
+    moved = None
     for one in kept:
-        stored = dict(json.loads(one.read_text(encoding="utf-8")))
+        stored = _read(one)
         source = Path(str(stored.get("source", "")))
-        # another recording may state the same name; one that is no longer there may be this one, moved
-        if not is_recording(source) or source.resolve() == named.resolve():
+        if source.resolve() == named.resolve():
             return stored
+        # another recording may state the same name; one that is no longer there may be this one, moved
+        moved = moved or (None if is_recording(source) else stored)
+    if moved is not None:
+        return moved
     raise RequestError(f"{target} has no diagnosis yet", hint=f"labrun gap diagnose {target} makes one")
+
+
+def _read(numbers: Path) -> dict[str, Any]:
+    """Return a diagnosis; nothing of one that cannot be read."""
+    try:
+        return dict(json.loads(numbers.read_text(encoding="utf-8")))
+    except (OSError, ValueError):
+        return {}
 
 
 def _ranges(found: list[MjcfRange], stored: Mapping[str, Any]) -> dict[str, Any]:

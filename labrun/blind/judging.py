@@ -338,16 +338,26 @@ def _is_probability(value: Any) -> bool:
     return isinstance(value, float | int) and 0.0 <= value <= 1.0
 
 
-def _named(one: Mapping[str, Any], candidates: Sequence[Mapping[str, Any]]) -> Named:
-    """Return an announced cause with its whole set: behind its first rival all further ones of the table."""
+def whole_set(one: Mapping[str, Any], candidates: Sequence[Mapping[str, Any]]) -> tuple[CauseName, ...]:
+    """Return an announced cause, the rival that is told beside it, and all further ones of the table of candidates.
+
+    Parameters
+    ----------
+    one, candidates
+        Of what ``labrun gap diagnose --json`` prints.
+    """
     cause = CauseName.from_json(one)
-    told = [CauseName.from_json(rival) for rival in one["indistinguishable_from"]]
+    told = [cause, *(CauseName.from_json(rival) for rival in one["indistinguishable_from"])]
     further = [
         CauseName.from_json(other)
         for other in candidates
         if other["verdict"] == "indistinguishable"
         and any(CauseName.from_json(of).same(cause) for of in other["indistinguishable_from"])
     ]
-    rivals = (*told, *(other for other in further if not any(other.same(rival) for rival in told)))
+    return (*told, *(other for other in further if not any(other.same(rival) for rival in told)))
+
+
+def _named(one: Mapping[str, Any], candidates: Sequence[Mapping[str, Any]]) -> Named:
+    cause, *rivals = whole_set(one, candidates)
     intervals = {name: tuple(value["ci95"]) for name, value in one.get("values", {}).items()}
-    return Named(cause, rivals, float(one["confidence"]), intervals)
+    return Named(cause, tuple(rivals), float(one["confidence"]), intervals)

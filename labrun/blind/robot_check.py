@@ -11,6 +11,7 @@ from typing import Any
 from labrun.blind.check_folder import CheckFolder, kept_when_interrupted, open_answers, prepare, seal_of
 from labrun.blind.diagnosis_check import FIRST_REPORTED_SEED, case_seed
 from labrun.blind.jobs import fingerprint
+from labrun.blind.judging import whole_set
 from labrun.fit import Note, load_dataset, silent
 from labrun.gap import Options, diagnose_robot
 from labrun.models import load_model, read_robot
@@ -161,7 +162,7 @@ def _said(folder: CheckFolder, name: str, seed: int, workers: int, note: Note) -
     joints = {
         one.joint.name: [
             *clock,
-            *(_names(cause) for cause in one.diagnosis.to_json()["causes"]),
+            *_sets(one.diagnosis.to_json()),
             *([f"{name} at {one.joint.name}"] for name in one.moved),
         ]
         for one in found.joints
@@ -171,8 +172,11 @@ def _said(folder: CheckFolder, name: str, seed: int, workers: int, note: Note) -
     return told
 
 
-def _names(cause: Mapping[str, Any]) -> list[str]:
-    return [f"{one['effect']} at {one['site']}" for one in (cause, *cause["indistinguishable_from"])]
+def _sets(said: Mapping[str, Any]) -> list[list[str]]:
+    return [
+        [f"{one.effect} at {one.site}" for one in whole_set(cause, said["candidates"])]
+        for cause in said["causes"]
+    ]
 
 
 def _judged(

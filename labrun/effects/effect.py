@@ -44,9 +44,9 @@ class Scale:
     """Typical magnitudes at a site: peak excursion, speed, acceleration and force of the data, SI.
 
     The default 1 everywhere leaves an effect's numbers as they stand. `inertia` is what moves already: a free axis
-    goes far in a long trial by a force that would hardly accelerate it. `travel` is half the way from end to end
-    (0: as far as the peak excursion). `acceleration_time_s` is the period in which accelerations come and go: such a
-    free axis also goes about slowly, however fast it is shaken (0: as `time_s`).
+    goes far in a long trial by a force that would hardly accelerate it. It also comes round slowly, however fast it is
+    shaken: `acceleration_time_s` is the period in which accelerations come and go (0: as `time_s`). `travel` is half
+    the way from end to end (0: as far as the peak excursion).
     """
 
     coordinate: float = 1.0
@@ -278,12 +278,6 @@ class Effect:
     def periodic(self) -> bool:
         """Tell whether it comes back along the coordinate: `periods`, with the sizes of its `sine` and its `cosine`."""
         return {"periods", "sine", "cosine"} == {one.name for one in self.parameters}
-
-    @property
-    def paced(self) -> bool:
-        """Tell whether internal states go at a pace that is fitted: that of a delay, or of what swings on a spring."""
-        times = {one.quantity for one in self.parameters if not one.held}
-        return self.states > 0 and bool(times & {"time", "acceleration-time"})
 
     def fits(self, site: Site, scale: Scale | None = None) -> bool:
         """Tell whether to look for it at a site: of its kind, with what it needs, without what replaces it.

@@ -239,7 +239,7 @@ def load_effect(name: str, kind: SiteKind | None = None) -> Effect:
     kinds = ", ".join(effect.kind for effect in named)
     if not fitting:
         raise ModelError(f"effect {name} sits at {kinds} sites, not at a {kind} site")
-    raise ModelError(f'effect {name} is there for {kinds} sites: say which, as kind = "{fitting[-1].kind}"')
+    raise ModelError(f'effect {name} is there for {kinds} sites: say which, as kind = "{fitting[0].kind}"')
 
 
 def effects(without: Collection[str] = ()) -> tuple[Effect, ...]:

@@ -174,8 +174,8 @@ _FLAT = 1e-6
 _VISIBLE = 0.1
 """Share of the strongest component above which a parameter is named as part of a direction."""
 _HARDLY_MOVED = 1.0
-"""Standard deviations of a tolerance. Data that leave nine tenths of it move a value by less than half of one (one
-standard deviation, a right model): what moved by more was pulled by something else."""
+"""Standard deviations of a tolerance. Data that leave nine tenths of it move the value of a right model by 0.44 of one
+(standard deviation): what moved by more than twice that was pulled by something else."""
 _AS_GOOD = 1.02
 _WORSE = 1.10
 
@@ -270,20 +270,20 @@ def interval_warnings(
             stated = problem.priors.values[problem.priors.free[index]]
             away = abs(estimate.value - stated) / sigma
             wide = half > 0.9 * 1.96 * sigma
-            if wide and away <= _HARDLY_MOVED:
+            if away > 3.0:
                 warnings.append(
-                    f"{name} rests on its stated value and tolerance; the data add little to them"
+                    f"{name} ended {away:.1f} standard deviations of its tolerance away "
+                    f"from the stated {stated:g} {estimate.unit}"
                 )
-            elif wide and away <= 3.0:
+            elif wide and away > _HARDLY_MOVED:
                 warnings.append(
                     f"{name} moved {away:.1f} standard deviations of its tolerance from the stated {stated:g} "
                     f"{estimate.unit}, and its interval is about as wide as the tolerance, or wider: trials disagree "
                     "about it, or the model lacks something"
                 )
-            if away > 3.0:
+            elif wide:
                 warnings.append(
-                    f"{name} ended {away:.1f} standard deviations of its tolerance away "
-                    f"from the stated {stated:g} {estimate.unit}"
+                    f"{name} rests on its stated value and tolerance; the data add little to them"
                 )
     return warnings
 

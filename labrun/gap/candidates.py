@@ -1,6 +1,6 @@
 """The candidates: every effect of the library at every site it fits, and every parameter that could be wrong."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -112,16 +112,16 @@ def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> 
     force = _force(problem, z, place, still, (coordinate, rate))
     if force is None:
         return None
-    acceleration = acceleration if acceleration > 0 else rate / period
+    longest_s = max(float(time[-1] - time[0]) for time in times)
     return Scale(
         coordinate=coordinate,
         rate=rate,
-        acceleration=acceleration,
+        acceleration=acceleration if acceleration > 0 else rate / period,
         force=force,
         time_s=period,
         inertia=_inertia(problem, z, place, still, force),
         travel=float(np.ptp(np.clip(every[:, 0], *np.percentile(every[:, 0], _ENDS)))) / 2.0,
-        acceleration_time_s=2.0 * np.pi * rate / acceleration,
+        acceleration_time_s=min(2.0 * np.pi * rate / acceleration, longest_s) if acceleration > 0 else 0.0,
     )
 
 
@@ -248,6 +248,14 @@ class Candidate:
         if self.attached is None:
             return ()
         return tuple(one.quantity for one in self.attached.effect.parameters if not one.held)
+
+    def pace_s(self, sizes: Iterable[float]) -> float:
+        """Return the pace of the effect's own states at these sizes, a delay or a period; infinity without any."""
+        if self.attached is None or self.scale is None or not self.attached.effect.states:
+            return np.inf
+        times = ("time", "acceleration-time")
+        pairs = zip(self.quantities, sizes, strict=True)
+        return min((size * self.scale.of(one) for one, size in pairs if one in times), default=np.inf)
 
     def added_to(self, problem: Problem) -> Problem:
         """Return the problem with this candidate in it."""

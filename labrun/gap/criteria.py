@@ -29,8 +29,6 @@ SAME_BEGINNING = 5.0
 BEGINNING, BEGINNING_SAMPLES, NO_DEVIATION = 0.05, 3, 0.3
 """Part of a typical period that counts as a trial's beginning, at least so many samples; and the fitted size of a
 deviation by trial, in units of what was estimated, below which something else has taken its place."""
-STILL_WHOLE = 0.9
-"""Part of what a trial begins with that its output still shows as long as it counts as the beginning there."""
 FEWEST_ALIGNED_SAMPLES = 8
 """Shorter repeats are not carried over to one time base, and say nothing about how they begin."""
 MOST_CONDITIONS = 8
@@ -160,9 +158,10 @@ FINER, FINEST, STEPS_DO = 4, 16, 0.005
 """Steps of the integrator are so many times shortened, to so many per sample, until that moves the squared residual by
 less than this part of the recalibrated one: with one step for 20 ms, dry friction removed 0.38 of a servo's gap, with
 sixteen 0.80."""
-STEPS_FOLLOW = 0.01
-"""Part of the squares by which an effect of a pace of its own changes the residuals that shorter steps may change them
-by: looked at in steps of 5 ms, a delay of 8 ms in a servo's loop promised to remove nothing, in shorter ones 95 %."""
+QUICK, STEPS_FOLLOW = 3.0, 0.01
+"""Intervals between samples that the pace of an effect's own states counts as quick up to; and the part of the squares
+by which it changes the residuals that shorter steps may then change them by. Looked at in steps of 5 ms, a delay of 8
+ms in a servo's loop, logged every 10 ms, promised to remove nothing, in shorter ones 95 %. The part was not tuned."""
 STEPS_STAY, STEPS_STAY_IN_BASE = 0.5, 0.1
 """Where that moves it more, trials that together make up this part of what it may move by keep longer steps: of a
 candidate, and of what others are added to. With half of it there, too, candidates beside a friction that left nothing

@@ -19,7 +19,7 @@ class Learnable:
     conditions
         In conditions that it did not see; None where there is one only.
     why_no_noise
-        What else tells that it is no noise, in words; "" if nothing does.
+        What tells that the rest is no noise either, in words; "" if nothing does.
     """
 
     pieces: float
@@ -29,13 +29,13 @@ class Learnable:
     @property
     def sentence(self) -> str:
         """What it says."""
-        most = 100 * max(self.pieces, self.conditions or 0.0)
-        if round(most) > 0:
-            return f"Of what is left, at least {most:.0f} % could be learned, at most {100 - most:.0f} % is noise"
-        said = (
-            f", but noise it is not: {self.why_no_noise}" if self.why_no_noise else ": all of it may be noise"
-        )
-        return f"Of what is left, nothing could be learned{said}"
+        most = round(100 * max(self.pieces, self.conditions or 0.0))
+        learned = f"at least {most} %" if most else "nothing"
+        if self.why_no_noise:
+            but = "and the rest is no noise either" if most else "but noise it is not"
+            return f"Of what is left, {learned} could be learned, {but}: {self.why_no_noise}"
+        rest = f", at most {100 - most} % is noise" if most else ": all of it may be noise"
+        return f"Of what is left, {learned} could be learned{rest}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -455,7 +455,11 @@ class Diagnosis:
             "seconds": round(self.seconds, 2),
             "learnable": None
             if self.learnable is None
-            else {"pieces_of_time": self.learnable.pieces, "conditions": self.learnable.conditions},
+            else {
+                "pieces_of_time": self.learnable.pieces,
+                "conditions": self.learnable.conditions,
+                "why_no_noise": self.learnable.why_no_noise,
+            },
             **({} if self.rest is None else {"rest": self.rest.to_json()}),
         }
 

@@ -36,7 +36,7 @@ from labrun.gap.recalibration import (
 )
 from labrun.gap.screening import Base, survey
 from labrun.gap.selection import Selection, Selector
-from labrun.gap.trial_wise import ALSO_SHAPES, found_alone, set_anew, simulated_changes
+from labrun.gap.trial_wise import ALSO_SHAPES, beginning_s, found_alone, set_anew, simulated_changes
 from labrun.models import Model
 
 
@@ -184,7 +184,11 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
     final = found.selection.final
     for problem, z in ((final.problem, final.z), (first.problem, first.z)):
         likely = found_alone(
-            asked.data, mean_residuals(problem, z), problem.simulated(z), simulated_changes(problem, z)
+            asked.data,
+            mean_residuals(problem, z),
+            problem.simulated(z),
+            simulated_changes(problem, z),
+            beginning_s(problem),
         )
         deviations = _that_make_up_what_is_left(problem, z, first.noise, likely)
         if not deviations:

@@ -75,35 +75,35 @@ def recalibrate(
     )
     deviations = found.deviations if noise.known else begun_elsewhere(problem, z, noise.sd)
     if deviations:
-        note("taking apart what differs from trial to trial")
-        if noise.known or _plain_beside_slow_noise(problem, z, noise, deviations):
-            problem, z = with_deviations(problem, z, deviations)
+        note("asking what differs from trial to trial")
+    if noise.known and deviations:
+        problem, z = with_deviations(problem, z, deviations)
+    for one in () if noise.known else deviations:
+        problem, z = _begun_elsewhere_beyond_slow_noise(problem, z, noise, one)
     return in_noise(problem, noise, z)
 
 
-def _plain_beside_slow_noise(
-    problem: Problem, z: FloatArray, noise: Noise, beginnings: Sequence[Deviation]
-) -> bool:
-    """Return whether trials that begin elsewhere leave less than noise of the colour of what they leave allows.
+def _begun_elsewhere_beyond_slow_noise(
+    problem: Problem, z: FloatArray, noise: Noise, beginning: Deviation
+) -> tuple[Problem, FloatArray]:
+    """Return a problem whose trials begin elsewhere, fitted; as it was if noise of the colour of the rest does as much.
 
     The mean of a trial's first samples wanders with slow noise as that of any others does (likelihood ratio of the
-    innovations).
+    innovations, a number for each trial).
     """
     from scipy.stats import chi2
 
-    fitted, at = settled_in_own_units(noise, *with_deviations(problem, z, beginnings))
-    left = np.concatenate(mean_residuals(fitted, at))
-    sd = np.sqrt(np.mean(np.square(left), axis=0))
+    without = settled_in_own_units(noise, problem, z)
+    fitted = settled_in_own_units(noise, *with_deviations(problem, z, (beginning,)))
+    sd = np.sqrt(np.mean(np.square(np.concatenate(mean_residuals(*fitted))), axis=0))
     sd = np.where(sd > 0, sd, 1.0)
-    after, before = (
-        [residual / sd for residual in mean_residuals(*held)] for held in ((fitted, at), (problem, z))
-    )
+    before, after = ([residual / sd for residual in mean_residuals(*one)] for one in (without, fitted))
     whitener = fit_whitener(after)
     gain = sum(
         float(np.sum(np.square(whitener.white(one))) - np.sum(np.square(whitener.white(other))))
         for one, other in zip(before, after, strict=True)
     )
-    return bool(chi2.sf(gain, len(after) * len(beginnings)) <= criteria.DEVIATION_P)
+    return fitted if chi2.sf(gain, len(after)) <= criteria.DEVIATION_P else (problem, z)
 
 
 def with_deviations(

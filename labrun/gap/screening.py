@@ -160,7 +160,7 @@ def survey(base: Base, candidate: Candidate) -> Survey:
             change, whole = _released(base, problem)
             rated.append((0.0, number, z, change, whole))
             continue
-        there = in_steps_that_follow(problem, z, base.residual)[1]
+        there = in_steps_that_follow(problem, z, base.residual, candidate.pace_s(start))[1]
         if there is None:
             continue
         parts = [after - now for after, now in zip(there, base.residual, strict=True)]
@@ -198,7 +198,9 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     beside = base.nuisance.jacobian if surveyed.candidate.variables else None
     ends: list[tuple[float, Problem, FloatArray]] = []
     for start in starts:
-        problem, there = in_steps_that_follow(surveyed.problem, start, base.residual)
+        candidate, size = surveyed.candidate, surveyed.problem.size
+        pace_s = candidate.pace_s(start[size - candidate.variables : size])
+        problem, there = in_steps_that_follow(surveyed.problem, start, base.residual, pace_s)
         z = minimise(
             problem,
             start,

@@ -444,20 +444,13 @@ class Selector:
         if best is None:
             return None
         one = self._taken(more_common(best, current.rated, relative=self.null.relative), current)
-        return one if self._has_learned(one, current, left) else None
-
-    def _has_learned(self, one: Chosen, current: Round, left: ExcessResidual) -> bool:
-        """Tell whether a second cause that was taken in for what could be learned of the rest has taken that away.
-
-        What mends a part of what is wrong with the first one's form leaves as much to be learned as before.
-        """
-        if current.learnable == 1.0:
-            return True
-        removed = 1.0 - one.held_out.total / left.total if left.total > 0.0 else 1.0
-        if removed >= self._least_to_remove(current.base, left, 1.0):
-            return True
+        removed = left.total - best.held_out.total
+        if removed >= self._least_to_remove(current.base, left, 1.0) * left.total:
+            return one
+        # it was enough beside what could be learned of the rest: what mends a part of what is wrong with the first
+        # one's form leaves as much to be learned as before
         still = self._learned_of(one.base) * one.held_out.total
-        return still <= (1.0 - criteria.SMALL_OF_LEFT) * current.learnable * left.total
+        return one if still <= (1.0 - criteria.SMALL_OF_LEFT) * current.learnable * left.total else None
 
     def _least_to_remove(self, base: Base, left: ExcessResidual, learnable: float) -> float:
         """Return the part of what a base leaves that a further cause has to remove; 0 for the first."""

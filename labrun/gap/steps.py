@@ -25,20 +25,22 @@ def in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatAr
 
 
 def in_steps_that_follow(
-    problem: Problem, z: FloatArray, before: Sequence[FloatArray]
+    problem: Problem, z: FloatArray, before: Sequence[FloatArray], pace_s: float
 ) -> tuple[Problem, list[FloatArray] | None]:
-    """Return `in_steps_for`, in steps that also follow what has a pace of its own.
+    """Return `in_steps_for`, in steps that also follow what goes at a pace of its own that is quick beside the samples.
 
     In steps as long as a delay in a loop, its approximation is finite and another one: it shows nothing of the delay.
 
     Parameters
     ----------
     before : per trial
-        Residuals of what the last effect is added to: by what it changes them, steps are judged.
+        Residuals of what an effect is added to: by what it changes them, steps are judged.
+    pace_s
+        Of its internal states; infinite where they have none of their own.
     """
     problem, there = in_steps_for(problem, z)
-    effect = problem.effects[-1].effect if problem.effects else None
-    if effect is None or not effect.paced:
+    interval_s = float(np.median(np.concatenate([np.diff(one.time_s) for one in problem.data.trials])))
+    if pace_s > criteria.QUICK * interval_s:
         return problem, there
     while there is not None and (finer := _in_finer_steps(problem)) is not problem:
         after = finer.finite_residuals(z)

@@ -137,6 +137,15 @@ def simulated_changes(problem: Problem, z: FloatArray) -> dict[tuple[DeviationKi
     return found
 
 
+def beginning_s(problem: Problem) -> float:
+    """Return how long a trial's beginning lasts."""
+    return criteria.BEGINNING * typical_time_s(problem)
+
+
+def _samples_within(short_s: float, time_s: FloatArray) -> int:
+    return max(int(np.searchsorted(time_s, time_s[0] + short_s)), criteria.BEGINNING_SAMPLES)
+
+
 def begun_elsewhere(problem: Problem, z: FloatArray, noise_sd: FloatArray) -> tuple[Deviation, ...]:
     """Look for stated initial states that the first samples of trials which were never repeated contradict.
 
@@ -147,7 +156,7 @@ def begun_elsewhere(problem: Problem, z: FloatArray, noise_sd: FloatArray) -> tu
     noise_sd : (m,)
         Of a sample.
     """
-    found, short_s = [], criteria.BEGINNING * typical_time_s(problem)
+    found, short_s = [], beginning_s(problem)
     simulated = problem.simulated(z)
     for state in set(range(len(problem.model.states))) - set(problem.states.free):
         output = problem.states.output_of(state)
@@ -155,9 +164,7 @@ def begun_elsewhere(problem: Problem, z: FloatArray, noise_sd: FloatArray) -> tu
             continue
         away, variance = [], 0.0
         for trial, outputs in zip(problem.data.trials, simulated, strict=True):
-            count = max(
-                int(np.searchsorted(trial.time_s, trial.time_s[0] + short_s)), criteria.BEGINNING_SAMPLES
-            )
+            count = _samples_within(short_s, trial.time_s)
             begins = (trial.outputs - outputs)[:count, output]
             away.append(float(np.mean(begins)))
             variance += float(noise_sd[output]) ** 2 / len(begins)
@@ -191,6 +198,7 @@ def found_alone(
     residual: Sequence[FloatArray],
     simulated: Sequence[FloatArray],
     changes: Mapping[tuple[DeviationKind, int], Sequence[FloatArray]] | None = None,
+    short_s: float = 0.0,
 ) -> list[tuple[Deviation, ...]]:
     """Look for what trials that were never repeated differ by as a whole, where no cause explains what is left of them.
 
@@ -204,6 +212,8 @@ def found_alone(
         Of the model with its causes.
     changes
         `simulated_changes` of it.
+    short_s
+        How long the beginning of a trial lasts, which has to show what the trial is said to begin with.
 
     Returns
     -------
@@ -222,10 +232,13 @@ def found_alone(
     }
     for one, change in (changes or {}).items():
         shapes[one] = list(change)
+    begin = [_samples_within(short_s, trial.time_s) for trial in units.trials]
     found, alone, left = list[Deviation](), list[Deviation](), list(residual)
     while len(found) < criteria.MOST_DEVIATIONS:
         rest = [one for one in shapes if one not in [(other.kind, other.output) for other in found]]
-        looked = [got for one in rest if (got := _looked_at_alone(left, shapes[one], *one)) is not None]
+        looked = [
+            got for one in rest if (got := _looked_at_alone(left, shapes[one], *one, begin)) is not None
+        ]
         if not found:
             alone = [one.deviation for one in looked if one.steady or one.deviation.kind in ALSO_SHAPES]
         steady = [one for one in looked if one.steady]
@@ -254,6 +267,7 @@ def _looked_at_alone(
     signature: Sequence[FloatArray],
     kind: DeviationKind,
     output: int | None,
+    beginnings: Sequence[int],
 ) -> _Alone | None:
     """Return what one kind makes up of the residual; None if that is little, or not to be told."""
     trials, blocks = len(residual), criteria.DEVIATION_BLOCKS
@@ -281,7 +295,7 @@ def _looked_at_alone(
     taken = float(np.sum(np.square(own - shared) * whole))
     if taken < criteria.DEVIATION_SHARE * total:
         return None
-    if kind == "initial state" and not _seen_at_the_beginning(shapes, away, own - shared):
+    if kind == "initial state" and not _seen_at_the_beginning(shapes, away, own - shared, beginnings):
         return None
     freedom = trials - int(shared != 0.0), trials * (blocks - 1)
     within = float(np.sum(np.square(size - own[:, None]) * energy)) / freedom[1]
@@ -296,7 +310,7 @@ def _looked_at_alone(
 
 
 def _seen_at_the_beginning(
-    shapes: Sequence[FloatArray], residual: Sequence[FloatArray], own: FloatArray
+    shapes: Sequence[FloatArray], residual: Sequence[FloatArray], own: FloatArray, beginnings: Sequence[int]
 ) -> bool:
     """Tell whether less is left at the beginning of trials without what they are said to begin with.
 
@@ -304,15 +318,12 @@ def _seen_at_the_beginning(
     better. A state that no output shows at once leaves nothing to ask.
     """
     before = after = 0.0
-    for shape, one, size in zip(shapes, residual, own, strict=True):
+    for shape, one, size, count in zip(shapes, residual, own, beginnings, strict=True):
         column = int(np.argmax(np.abs(shape[0])))
-        still = np.abs(shape[:, column]) >= criteria.STILL_WHOLE * np.abs(shape[0, column])
-        if shape[0, column] == 0.0:
-            return True
-        count = len(still) if np.all(still) else int(np.argmin(still))
-        before += float(np.mean(one[:count, column])) ** 2
-        after += float(np.mean((one - size * shape)[:count, column])) ** 2
-    return after < before
+        if shape[0, column] != 0.0:
+            before += float(np.sum(np.square(one[:count, column])))
+            after += float(np.sum(np.square((one - size * shape)[:count, column])))
+    return after < before or before == 0.0
 
 
 def _cut(first: FloatArray, second: FloatArray, blocks: int) -> tuple[list[FloatArray], list[FloatArray]]:

@@ -43,22 +43,21 @@ class VerdictBasis:
 
     @property
     def left_is_gap(self) -> bool:
-        """Whether what is left is plainly no noise."""
-        return bool(self.why_no_noise)
-
-    @property
-    def why_no_noise(self) -> str:
-        """Why what is left is plainly no noise, in words; "" where it may be noise.
+        """Whether what is left is plainly no noise.
 
         Its kind says so: its spectrum has lines, or motion and inputs predict it, where it is no smaller than the noise
         of a sample or, with repeats, well above what these leave. Or its size: where repeats tell the noise, far above
         what that leaves; without them, more than any sensor adds.
         """
-        if not self.remains or self.sizes.after < criteria.SMALL_GAP_UNEXPLAINED:
-            return ""
         least = criteria.BEYOND_FLOOR * self.sizes.floor if self.noise_known else 1.0
-        if self.beyond_scatter.learnable >= criteria.LEARNABLE and self.sizes.after >= least:
-            return "motion and inputs predict it"
+        learned = self.beyond_scatter.learnable >= criteria.LEARNABLE and self.sizes.after >= least
+        return (self._is_seen and learned) or bool(self.why_no_noise)
+
+    @property
+    def why_no_noise(self) -> str:
+        """Why even what motion and inputs do not predict is plainly no noise, in words; "" where it may be noise."""
+        if not self._is_seen:
+            return ""
         if self._has_lines:
             return "its spectrum has lines"
         if not self.noise_known:
@@ -66,6 +65,10 @@ class VerdictBasis:
         # what is no more than noise beyond scatter: new beams, another mounting
         far_above = self.sizes.after >= criteria.FAR_ABOVE_FLOOR * self.sizes.floor
         return "repeats agree on it" if far_above and self.beyond_scatter.size > 1.0 else ""
+
+    @property
+    def _is_seen(self) -> bool:
+        return self.remains and self.sizes.after >= criteria.SMALL_GAP_UNEXPLAINED
 
     @property
     def _has_lines(self) -> bool:

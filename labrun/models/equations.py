@@ -35,10 +35,9 @@ def equations_model(file: ModelFile) -> Model:
     """
     given = file.read(EquationsFile)
     inputs = inputs_of(given.inputs)
-    outputs = tuple(Output(name, one.unit) for name, one in given.outputs.items())
+    outputs = tuple(Output(name, one.unit, shows=one.equation.text) for name, one in given.outputs.items())
     parameters = tuple(parameter_of(name, one, one.value) for name, one in given.parameters.items())
-    shown = {one.equation.text: one.unit for one in given.outputs.values() if one.unit in ("rad", "m")}
-    sites = tuple(_site(name, one, shown) for name, one in given.sites.items())
+    sites = tuple(_site(name, one) for name, one in given.sites.items())
     places = places_of(file, given.states, inputs, parameters)
     for name in given.where.keys() & {*places, *(given.conditions or {})}:
         file.note(("where", name), f"{name!r} is already the name of something else")
@@ -95,17 +94,9 @@ def equations_model(file: ModelFile) -> Model:
     return dataclasses.replace(model, effects=read_effects(file, given.effects, model))
 
 
-def _site(name: str, table: SiteTable, shown: Mapping[str, str]) -> Site:
-    """Return a site.
-
-    Parameters
-    ----------
-    shown : equation -> unit
-        Of outputs: one whose equation is the coordinate tells its unit, where the table does not.
-    """
+def _site(name: str, table: SiteTable) -> Site:
     coordinate, rate, load, stiffness = (table.text(one) for one in SITE_QUANTITIES)
-    unit = table.unit or shown.get(coordinate, "")
-    return Site(name, table.kind, coordinate, rate, load, stiffness, table.drive, unit)
+    return Site(name, table.kind, coordinate, rate, load, stiffness, table.drive, table.unit)
 
 
 def _check_states(file: ModelFile, given: EquationsFile) -> None:

@@ -69,12 +69,15 @@ class Output:
     followed
         Whether what was measured of it keeps the simulation on course, so that it is no site: what its sensor does is
         not to be told apart.
+    shows
+        Its equation, which may be no more than the name of a state; "" where it has none.
     """
 
     name: str
     unit: str = "1"
     exact_within: float = 0.0
     followed: bool = False
+    shows: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,8 +218,9 @@ class Model:
     def coordinate_unit(self, site: Site, measured: Mapping[str, str] = MappingProxyType({})) -> str:
         """Return the unit of the coordinate of a joint or body site.
 
-        As the site says it; else as the signal that shows the coordinate or its rate has it; else from the unit of the
-        site's stiffness ("N m/rad"). Where nothing tells, a joint turns and a body moves.
+        As the site says it; else as the signal of its name, or of its rate's, has it; else an output by another name
+        that shows it, in rad or m; else from the unit of the site's stiffness ("N m/rad"). Where nothing tells, a joint
+        turns and a body moves.
 
         Parameters
         ----------
@@ -226,10 +230,11 @@ class Model:
             Of inputs and outputs as they were measured, where that is not what the model says.
         """
         units = {one.name: one.unit for one in self.outputs} | dict(measured)
-        shown = (units.get(name, "1").removesuffix("/s") for name in (site.coordinate, site.rate))
+        named = (units.get(name, "1").removesuffix("/s") for name in (site.coordinate, site.rate))
+        shown = (units[one.name] for one in self.outputs if one.shows == site.coordinate)
         stiffness = next((one.unit for one in self.parameters if one.name == site.stiffness), "")
         sprung = [one for one in ("rad", "m") if stiffness.endswith(f"/{one}")]
-        known = (site.unit, *shown, *sprung)
+        known = (site.unit, *named, *(one for one in shown if one in ("rad", "m")), *sprung)
         return next((one for one in known if one not in ("", "1")), "rad" if site.kind == "joint" else "m")
 
     @property

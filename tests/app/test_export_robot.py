@@ -1,6 +1,7 @@
 """A diagnosed robot for other simulators: the corrected MJCF, and ranges as fields of theirs."""
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -116,6 +117,22 @@ def test_of_recordings_that_state_one_name_each_has_its_own_diagnosis(tmp_path):
     diagnosed(tmp_path / "third").unlink()
     with pytest.raises(RequestError, match="has no diagnosis yet"):
         export_robot(tmp_path / "third", tmp_path / "third.xml", results=results)
+
+
+def test_its_own_diagnosis_comes_before_a_newer_one_of_a_recording_that_is_gone(tmp_path):
+    kept = {name: tmp_path / "results" / "arm" / f"gap-{name}" for name in ("own", "gone", "torn")}
+    for folder in kept.values():
+        folder.mkdir(parents=True)
+    (tmp_path / "arm").mkdir()
+    told = json.loads(diagnosed(tmp_path / "arm").read_text())
+    other = {**told, "source": str(tmp_path / "nowhere"), "corrected": {"shoulder_damping": 0.25}}
+    (kept["torn"] / "diagnosis.json").write_text("{")
+    for age_s, (name, content) in enumerate((("gone", other), ("own", told))):
+        numbers = kept[name] / "diagnosis.json"
+        numbers.write_text(json.dumps(content))
+        os.utime(numbers, (1e9 - age_s, 1e9 - age_s))
+    made = export_robot(tmp_path / "arm", tmp_path / "out.xml", results=tmp_path / "results").file
+    assert mujoco.MjModel.from_xml_path(str(made)).dof_damping.ravel()[0] == pytest.approx(0.29)
 
 
 def test_a_robots_own_file_is_told_what_makes_a_corrected_model_of_it(tmp_path):

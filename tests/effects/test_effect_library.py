@@ -100,7 +100,7 @@ def test_wrong_places_and_values_are_errors():
 
 
 def test_an_id_at_two_kinds_of_sites_needs_the_kind():
-    with pytest.raises(ModelError, match='for input, output sites: say which, as kind = "output"'):
+    with pytest.raises(ModelError, match='for input, output sites: say which, as kind = "input"'):
         load_effect("delay")
     with pytest.raises(ModelError, match="sits at input, output sites, not at a joint site"):
         load_effect("delay", "joint")

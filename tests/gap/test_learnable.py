@@ -71,14 +71,31 @@ def test_a_diagnosis_says_what_could_be_learned(conditions, told):
     (line,) = [one for one in lines if "could be learned" in one]
     assert "at least 80 % could be learned, at most 20 % is noise" in line
     assert len(lines) <= 20
-    assert diagnosis.to_json()["learnable"] == {"pieces_of_time": 0.8, "conditions": conditions}
+    told = {"pieces_of_time": 0.8, "conditions": conditions, "why_no_noise": ""}
+    assert diagnosis.to_json()["learnable"] == told
 
 
 def test_what_nothing_learns_is_noise_unless_something_else_tells_that_it_is_not():
     assert Learnable(0.001, 0.0).sentence.endswith("nothing could be learned: all of it may be noise")
-    lines = VerdictBasis(
-        Sizes(5.0, 4.0, 0.4, 0.15), True, False, 1, beyond_scatter=BeyondScatter(chance_of_lines=1e-9)
-    )
-    assert lines.left_is_gap
-    told = Learnable(0.001, 0.0, lines.why_no_noise).sentence
+    told = Learnable(0.001, 0.0, "its spectrum has lines").sentence
     assert told.endswith("nothing could be learned, but noise it is not: its spectrum has lines")
+    told = Learnable(0.03, 0.0, "repeats agree on it").sentence
+    assert told.endswith(
+        "at least 3 % could be learned, and the rest is no noise either: repeats agree on it"
+    )
+
+
+@pytest.mark.parametrize(
+    ("noise_known", "left", "why"),
+    [
+        (False, BeyondScatter(chance_of_lines=1e-9), "its spectrum has lines"),
+        (False, BeyondScatter(size=1e3), "it is more than a sensor adds"),
+        (True, BeyondScatter(size=3.0), "repeats agree on it"),
+        (False, BeyondScatter(learnable=0.9), ""),
+        (False, BeyondScatter(), ""),
+    ],
+)
+def test_what_is_left_is_a_gap_by_its_kind_or_its_size(noise_known, left, why):
+    basis = VerdictBasis(Sizes(5.0, 4.0, 2.0, 0.15), True, noise_known, 1, beyond_scatter=left, trials=4)
+    assert basis.why_no_noise == why
+    assert basis.left_is_gap == bool(why or left.learnable)

@@ -13,7 +13,7 @@ from labrun.gap.candidates import Candidate, candidates, site_scales
 from labrun.gap.diagnosis import Name
 from labrun.gap.recalibration import recalibrate, stated_problem
 from labrun.gap.screening import Base, screen_all, survey
-from labrun.gap.steps import in_longer_steps, in_shorter_steps
+from labrun.gap.steps import in_longer_steps, in_shorter_steps, in_steps_that_follow
 from labrun.models import Model, parse_model
 from labrun.store import SignalInfo
 
@@ -176,6 +176,22 @@ def test_a_delay_in_a_loop_is_looked_at_in_steps_that_are_short_beside_it() -> N
     (found,) = screen_all(base, [survey(base, late)])
     assert found.sizes[0] * late.scale.of("time") == pytest.approx(0.01, rel=0.1)
     assert found.gain > 0.98 * base.squares
+
+
+def test_what_is_slow_beside_the_samples_and_a_parameter_take_the_steps_of_their_base() -> None:
+    model = parse_model(SERVO, "servo.toml")
+    found = recalibrate(model, averaged(late_servo(0.01), model), np.random.default_rng(0), silent)
+    scales = site_scales(found.problem, found.z)
+    every = {str(one.name): one for one in candidates(model, scales, ())}
+    late, creep = every["loop-delay at joint"], every["viscoelastic-creep at joint"]
+    problem = late.added_to(found.problem)
+    z = np.concatenate([found.z[: found.problem.size], [0.01 / late.scale.of("time")]])
+    base = Base.of(problem, z, (late,))
+    for one in (every["parameter inertia"], creep):
+        assert one.pace_s(one.starts[0] if one.variables else ()) > criteria.QUICK * 0.01
+        looked = survey(base, one)
+        steps = in_steps_that_follow(looked.problem, looked.starts[0], base.residual, np.inf)[0].steps
+        assert all(np.array_equal(mine, theirs) for mine, theirs in zip(steps, problem.steps, strict=True))
 
 
 def late_servo(delay_s: float) -> Dataset:

@@ -237,16 +237,31 @@ def test_trials_that_begin_where_a_hand_let_go_are_told(slow: float) -> None:
     assert ("initial state", 0) in deviations_of(begun((0.05, -0.04, 0.08, 0.02, -0.06), slow))
 
 
+@pytest.mark.parametrize("plant", ["swings", "integrates"])
 @pytest.mark.parametrize(("grows", "told"), [(False, [("initial state", 0)]), (True, [])])
 def test_what_trials_begin_with_is_told_only_if_their_first_samples_show_it(
-    grows: bool, told: list[tuple[DeviationKind, int | None]]
+    grows: bool, told: list[tuple[DeviationKind, int | None]], plant: str
 ) -> None:
     data = never_repeated()
-    changes = [np.cos(4.0 * one.time_s)[:, None] for one in data.trials]
+    changes = [
+        (np.cos(4.0 * one.time_s) if plant == "swings" else np.ones_like(one.time_s))[:, None]
+        for one in data.trials
+    ]
     sizes = [0.01, -0.008, 0.012, -0.02, 0.004]
     left = [
         size * change * ((1.0 - np.exp(-one.time_s / 0.3))[:, None] if grows else 1.0) + noise
         for size, change, one, noise in zip(sizes, changes, data.trials, noise_like(data, 1e-3), strict=True)
     ]
-    found = found_alone(data, left, [np.zeros_like(one) for one in left], {("initial state", 0): changes})
-    assert [(one.kind, one.output) for several in found[:1] for one in several] == told
+    shown = {("initial state", 0): changes}
+    found = found_alone(data, left, [np.zeros_like(one) for one in left], shown, short_s=0.05)
+    kinds = [(one.kind, one.output) for several in found for one in several]
+    assert [one for one in kinds if one[0] == "initial state"][:1] == told
+
+
+def test_a_state_that_no_output_shows_at_once_is_not_asked_of_the_first_samples() -> None:
+    data = never_repeated()
+    changes = [np.sin(4.0 * one.time_s)[:, None] for one in data.trials]
+    left = [size * one for size, one in zip([0.01, -0.008, 0.012, -0.02, 0.004], changes, strict=True)]
+    shown = {("initial state", 1): changes}
+    found = found_alone(data, left, [np.zeros_like(one) for one in left], shown, short_s=0.05)
+    assert ("initial state", 1) in [(one.kind, one.output) for one in found[0]]
