@@ -30,7 +30,7 @@ SMALLER = {
         "by_hand.mountings=3",
     ),
 }
-LONG = ("fin-step", "tail-sweep", "driven-joint-bushing")
+LONG = ("fin-step", "tail-sweep", "driven-joint-bushing", "driven-joint", "hinge-tensile")
 """What takes long; the bushing is on the bench of the driven joint."""
 STRONG = {
     "hinge": "coulomb-friction@hinge:torque=4e-4",

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from labrun.gap.confidence import ceiling, confidence
 from labrun.gap.pipeline import search_causes
@@ -27,6 +28,7 @@ def test_a_cause_that_little_comes_back_without_is_less_sure_where_repeats_show_
     assert ceiling("residual", 4, own_share=0.02) == ceiling("residual", 4)
 
 
+@pytest.mark.slow
 def test_of_causes_that_stand_in_for_one_another_the_one_that_explains_most_alone_stays_sure() -> None:
     search = search_causes(recorded(dry_friction(0.006)), pendulum(), np.random.default_rng(0))
     (friction,) = search.selection.chosen

@@ -124,6 +124,7 @@ def stop(level: float, stiffness: float) -> Force:
     return lambda t, q, v: -stiffness * (max(q - level, 0.0) + min(q + level, 0.0))
 
 
+@pytest.mark.slow
 def test_a_late_stop_far_stiffer_than_its_joint_is_found_with_its_stiffness_beside_another_cause() -> None:
     """It is 130 times as stiff as the joint, and reached in the last fiftieth of the largest motion only."""
     peak = max(float(np.max(np.abs(one.outputs))) for one in recorded().trials)

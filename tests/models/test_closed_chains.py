@@ -61,6 +61,7 @@ def test_energy_stays_and_the_loop_stays_closed(parallelogram):
     assert found[:, 1].max() < 1e-7
 
 
+@pytest.mark.slow
 def test_finer_steps_keep_the_energy_of_the_six_bar_better(six_bar):
     model = six_bar.with_initial({"theta_5": 0.3})
     time_s = np.linspace(0, 1, 361)
