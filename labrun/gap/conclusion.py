@@ -164,7 +164,9 @@ def conclude(
     asked = search.candidates and (not causes or findings.remains)
     if asked and not any(one.followed for one in problem.model.outputs):
         note("asking what any model could learn of what is left")
-        left = findings if causes or not selection.chosen else _basis(search, (), floor, rng)
+        # what unannounced causes leave is not what the bare model leaves, of which it is asked then
+        bare = selection.chosen and not causes and not unproven
+        left = _basis(search, (), floor, rng) if bare else findings
         at = (final.problem, final.z) if causes else (problem, z)
         learnable = replace(_learnable(*at), why_no_noise=left.why_no_noise)
     effects = final.problem.attached(final.problem.parameters(final.z))

@@ -197,8 +197,8 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     # what the candidate is added to is fitted already: its derivatives do to see how far a start leads
     beside = base.nuisance.jacobian if surveyed.candidate.variables else None
     ends: list[tuple[float, Problem, FloatArray]] = []
+    candidate, size = surveyed.candidate, surveyed.problem.size
     for start in starts:
-        candidate, size = surveyed.candidate, surveyed.problem.size
         pace_s = candidate.pace_s(start[size - candidate.variables : size])
         problem, there = in_steps_that_follow(surveyed.problem, start, base.residual, pace_s)
         z = minimise(

@@ -39,8 +39,7 @@ def in_steps_that_follow(
         Of its internal states; infinite where they have none of their own.
     """
     problem, there = in_steps_for(problem, z)
-    interval_s = float(np.median(np.concatenate([np.diff(one.time_s) for one in problem.data.trials])))
-    if pace_s > criteria.QUICK * interval_s:
+    if not _quick(pace_s, problem):
         return problem, there
     while there is not None and (finer := _in_finer_steps(problem)) is not problem:
         after = finer.finite_residuals(z)
@@ -50,6 +49,12 @@ def in_steps_that_follow(
             break
         problem, there = finer, after
     return problem, there
+
+
+def _quick(pace_s: float, problem: Problem) -> bool:
+    """Tell whether a pace is quick beside the samples."""
+    intervals = [np.diff(one.time_s) for one in problem.data.trials] if np.isfinite(pace_s) else []
+    return bool(intervals) and pace_s <= criteria.QUICK * float(np.median(np.concatenate(intervals)))
 
 
 def in_shorter_steps(problem: Problem, z: FloatArray, moved: float) -> Problem:

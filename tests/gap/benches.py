@@ -105,6 +105,11 @@ def recorded(
     )
 
 
+def logged(name: str, given: SignalInfo, seen: SignalInfo, trials: Sequence[FitTrial]) -> Dataset:
+    """Return trials of one input and one output as a recording."""
+    return Dataset(name, Path(name), "recording", (given,), (seen,), tuple(trials))
+
+
 @cache
 def dry_friction(torque: float) -> Force:
     """Return Coulomb friction, its sign smoothed."""

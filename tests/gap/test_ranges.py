@@ -22,7 +22,7 @@ from labrun.gap.screening import Base, follow, rough, survey
 from labrun.models import parse_model
 from labrun.store import SignalInfo
 
-from .benches import PENDULUM, FloatArray, Force, dry_friction, pendulum, recorded
+from .benches import PENDULUM, FloatArray, Force, dry_friction, logged, pendulum, recorded
 
 QUICK = Options(places=False)
 
@@ -184,13 +184,8 @@ def test_a_current_is_found_with_a_drag_far_larger_than_what_moves_a_body_as_far
     moved = solve_ivp(slope, (0.0, 120.0), [0.0], t_eval=time_s, rtol=1e-8, atol=1e-10, max_step=0.1)
     speed = moved.y[0] + 0.01 * np.random.default_rng(2).standard_normal(len(time_s))
     trial = FitTrial("log", {}, 1, time_s, thrust[:, None], speed[:, None])
-    data = replace(
-        recorded(repeats=1),
-        name="vessel",
-        inputs=(SignalInfo("thrust", "N", "hold"),),
-        outputs=(SignalInfo("speed", "m/s", "linear"),),
-        trials=(trial,),
-    )
+    channels = SignalInfo("thrust", "N", "hold"), SignalInfo("speed", "m/s", "linear")
+    data = logged("vessel", *channels, [trial])
     found = diagnose_dataset(data, parse_model(VESSEL, "vessel.toml"), QUICK)
     (cause,) = found.causes
     assert str(cause.name) == "mean-current at hull"

@@ -1,7 +1,5 @@
 """What is typical at a site: what effects are measured in."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -12,8 +10,9 @@ from labrun.gap.candidates import site_scales
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.recalibration import stated_problem
 from labrun.models import parse_model
+from labrun.store import SignalInfo
 
-from .benches import PENDULUM, FloatArray, recorded
+from .benches import PENDULUM, FloatArray, logged, recorded
 
 CONDITIONS = ((0.02, 0.6), (0.03, 0.9))
 DATASET = recorded(conditions=CONDITIONS, repeats=1)
@@ -81,7 +80,9 @@ def shaken() -> Dataset:
     moved = solve_ivp(slope, (0.0, 10.0), [0.0] * 4, t_eval=time_s, rtol=1e-8, atol=1e-10, max_step=4e-3)
     angle = moved.y[0] + 2e-3 * rng.standard_normal(len(time_s))
     trial = FitTrial("log", {}, 1, time_s, torque[:, None], angle[:, None])
-    return replace(DATASET, name="axis", trials=(trial,))
+    return logged(
+        "axis", SignalInfo("torque", "N m", "linear"), SignalInfo("angle", "rad", "linear"), [trial]
+    )
 
 
 def test_a_free_axis_comes_round_slowly_and_is_accelerated_as_fast_as_it_is_shaken():

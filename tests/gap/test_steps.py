@@ -1,7 +1,5 @@
 """Every interval of a trial takes as many of the integrator's steps as what acts there asks for."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ from labrun.gap.steps import in_longer_steps, in_shorter_steps, in_steps_that_fo
 from labrun.models import Model, parse_model
 from labrun.store import SignalInfo
 
-from .benches import CONDITIONS, pendulum, recorded
+from .benches import CONDITIONS, logged, pendulum, recorded
 
 FAR = 1
 """The condition that reaches the stop."""
@@ -211,9 +209,4 @@ def late_servo(delay_s: float) -> Dataset:
         measured = np.array(seen) + 1e-3 * rng.standard_normal(len(seen))
         condition = {"step_rad": size}
         trials.append(FitTrial(f"{size} rad", condition, 1, time_s, goal[:, None], measured[:, None]))
-    return replace(
-        recorded(repeats=1, conditions=CONDITIONS[:2]),
-        name="servo",
-        inputs=(SignalInfo("goal", "rad", "hold"),),
-        trials=tuple(trials),
-    )
+    return logged("servo", SignalInfo("goal", "rad", "hold"), SignalInfo("angle", "rad", "linear"), trials)

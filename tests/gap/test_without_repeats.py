@@ -17,7 +17,7 @@ from labrun.gap.noise_threshold import NoiseThreshold, chance_of_lines, independ
 from labrun.models import parse_model
 from labrun.store import SignalInfo
 
-from .benches import CONDITIONS, FloatArray, dry_friction, nothing, pendulum, recorded
+from .benches import CONDITIONS, FloatArray, dry_friction, logged, nothing, pendulum, recorded
 
 QUICK = Options(places=False)
 MUSCLE = """
@@ -372,14 +372,7 @@ def test_what_mends_a_part_of_a_form_and_leaves_as_much_to_be_learned_is_no_seco
         trials.append(
             FitTrial(str(number), {"motion": float(number)}, 1, time_s, goal[:, None], seen[:, None])
         )
-    data = Dataset(
-        "belt",
-        Path("belt"),
-        "recording",
-        (SignalInfo("goal", "m", "linear"),),
-        (SignalInfo("motor", "m", "linear"),),
-        tuple(trials),
-    )
+    data = logged("belt", SignalInfo("goal", "m", "linear"), SignalInfo("motor", "m", "linear"), trials)
     found = diagnose_dataset(data, parse_model(BELT, "belt.toml"), Options(places=False))
     (cause,) = found.causes
     assert str(cause.name) == "elastic-transmission at axis"
