@@ -19,7 +19,7 @@ class Learnable:
     conditions
         In conditions that it did not see; None where there is one only.
     why_no_noise
-        What tells that the rest is no noise either, in words; "" if nothing does.
+        What tells besides that it is no noise, in words; "" if nothing does.
     """
 
     pieces: float
@@ -32,8 +32,8 @@ class Learnable:
         most = round(100 * max(self.pieces, self.conditions or 0.0))
         learned = f"at least {most} %" if most else "nothing"
         if self.why_no_noise:
-            but = "and the rest is no noise either" if most else "but noise it is not"
-            return f"Of what is left, {learned} could be learned, {but}: {self.why_no_noise}"
+            but = f"and {self.why_no_noise}" if most else f"but {self.why_no_noise}: it is no noise"
+            return f"Of what is left, {learned} could be learned, {but}"
         rest = f", at most {100 - most} % is noise" if most else ": all of it may be noise"
         return f"Of what is left, {learned} could be learned{rest}"
 

@@ -61,7 +61,7 @@ class VerdictBasis:
         if self._has_lines:
             return "its spectrum has lines"
         if not self.noise_known:
-            return "it is more than a sensor adds" if self._of_no_sensor else ""
+            return "no sensor adds so much" if self._of_no_sensor else ""
         # what is no more than noise beyond scatter: new beams, another mounting
         far_above = self.sizes.after >= criteria.FAR_ABOVE_FLOOR * self.sizes.floor
         return "repeats agree on it" if far_above and self.beyond_scatter.size > 1.0 else ""

@@ -78,18 +78,16 @@ def test_a_diagnosis_says_what_could_be_learned(conditions, told):
 def test_what_nothing_learns_is_noise_unless_something_else_tells_that_it_is_not():
     assert Learnable(0.001, 0.0).sentence.endswith("nothing could be learned: all of it may be noise")
     told = Learnable(0.001, 0.0, "its spectrum has lines").sentence
-    assert told.endswith("nothing could be learned, but noise it is not: its spectrum has lines")
+    assert told.endswith("nothing could be learned, but its spectrum has lines: it is no noise")
     told = Learnable(0.03, 0.0, "repeats agree on it").sentence
-    assert told.endswith(
-        "at least 3 % could be learned, and the rest is no noise either: repeats agree on it"
-    )
+    assert told.endswith("at least 3 % could be learned, and repeats agree on it")
 
 
 @pytest.mark.parametrize(
     ("noise_known", "left", "why"),
     [
         (False, BeyondScatter(chance_of_lines=1e-9), "its spectrum has lines"),
-        (False, BeyondScatter(size=1e3), "it is more than a sensor adds"),
+        (False, BeyondScatter(size=1e3), "no sensor adds so much"),
         (True, BeyondScatter(size=3.0), "repeats agree on it"),
         (False, BeyondScatter(learnable=0.9), ""),
         (False, BeyondScatter(), ""),
