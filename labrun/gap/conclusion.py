@@ -32,7 +32,7 @@ from labrun.gap.intervals import effect_units, parameter_value, scatter, values_
 from labrun.gap.learnable import beyond_scatter, learnable_share
 from labrun.gap.noise import from_residual
 from labrun.gap.nuisance import information
-from labrun.gap.other_laws import needless_beside
+from labrun.gap.other_laws import better_alone
 from labrun.gap.pipeline import Search
 from labrun.gap.rating import Rated
 from labrun.gap.recalibration import member_residuals
@@ -208,7 +208,7 @@ def conclude(
             noise_known=noise.known,
             differs=differs,
             rest=findings.left_is_gap,
-            needless_beside=findings.needless_beside,
+            better_alone=findings.better_alone,
         ),
         gap=sizes,
         where=found,
@@ -292,19 +292,26 @@ def _basis(search: Search, chosen: Sequence[Chosen], floor: float, rng: np.rando
         beyond_scatter(end.problem, end.z, noise) if remains else BeyondScatter(),
         len(search.dataset.trials),
         1.0 - left.total / whole if whole > 0.0 else 1.0,
+        _law_instead(search, chosen, floor) if chosen or remains else "",
     )
-    if shrunk is None:
-        return basis
-    basis = replace(basis, shrinkage=replace(shrunk, high=basis.most_removed))
-    if basis.left_is_gap and _may_stand_in(search, kinds):
-        return replace(basis, needless_beside=needless_beside(end.problem, end.z, noise))
-    return basis
+    return basis if shrunk is None else replace(basis, shrinkage=replace(shrunk, high=basis.most_removed))
 
 
-def _may_stand_in(search: Search, kinds: Sequence[str]) -> bool:
-    """Tell whether to ask for a law that makes causes needless: they are effects, and motion does not follow noise."""
+def _law_instead(search: Search, chosen: Sequence[Chosen], floor: float) -> str:
+    """Return the law that explains more without the causes; without those of none, than the best candidate does.
+
+    It is not asked for where motion follows what was measured, noise and all.
+    """
+    selection, bare = search.selection, search.recalibration
     followed = any(one.followed for one in search.model.outputs)
-    return "parameter" not in kinds and not followed and not search.selection.final.brisk
+    if followed or selection.final.brisk or any(one.name.kind == "parameter" for one in chosen):
+        return ""
+    at = selection.rounds[-1 if chosen else 0]
+    beside = selection.final if chosen else max(at.screened, key=lambda one: one.gain, default=None)
+    if beside is None:
+        return ""
+    without = bare.problem, bare.z
+    return better_alone(beside.problem, beside.z, without, search.noise, at.threshold, floor)
 
 
 def _unannounced(chosen: Sequence[Chosen], found: VerdictBasis) -> tuple[str, ...]:

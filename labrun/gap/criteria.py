@@ -326,13 +326,9 @@ less of both was 0.58, 0.59, 0.74 and 0.90 of four impostors (18463; the upper e
 where what is left may be noise, it is the upper end of the share: of eight recordings of real machines and twelve made
 like them 0.91 and above, of five impostors (511 and 512) 0.59 to 0.79. No more is asked for with repeats: what is right
 but for its form removes 0.80 to 0.97 of what the real machines show."""
-REST_EXPLAINED, KEPT_BESIDE = 0.5, 0.5
-"""Part of what causes leave that another law has to explain, and part of its size that each of them keeps beside it at
-most, to be stand-ins. Inertia that stood for a second mode and removed 0.44, 0.93, 0.95 and 0.997 of the gap kept 0.00
-to 0.02 of its size beside a mass on a spring (18473, 0022 and 0026; 712, 0029 and 0037). Of 21 diagnoses that leave a
-plain gap and are right, seven of them of real machines, six have such a law; their causes keep 0.99 and more. A drift
-that stands for a clamp that slips, or with a bias for a damper that warms (18463, 0003 and 0001), is not seen so:
-beside the law it has another size, not none."""
+ALONE_EXPLAINS, ALONE_LEAVES, ALONE_NEAR_BEST = 0.5, 0.05, 0.5
+"""Part of what causes leave that another law has to explain without them, for them to be stand-ins (without repeats
+noise counts as left); and part of what the likeliest law predicts from which others are fitted, too. TODO evidence."""
 RIDERS, RIDERS_TRIED = (1.0, 10.0), 32
 """Natural frequencies of a mass on a spring that rides on a joint, in units of the motion's, and how many are tried:
 8 % apart. With half as many a fit from the nearest one ended beside the truth (18473, 0022)."""

@@ -1,12 +1,12 @@
-"""Laws beside which no cause is needed: what tells a stand-in from a right cause that leaves as much.
+"""Laws that explain more without the causes than these do: what tells stand-ins from right causes that leave as much.
 
-What a right cause leaves is what its form lacks, or something else beside it: whatever law explains that, the cause is
-needed as before. What a stand-in leaves is the rest of one and the same thing: a law that explains the rest explains
-what the stand-in explained, too, and it goes. So goes an inertia that stood for a mass on a spring.
+What a right cause leaves is what its form lacks, or something else beside it: no law explains that and what the cause
+explains. What a stand-in leaves is the rest of one and the same thing, and a law of that thing explains both: so does a
+mass on a spring of an inertia that stood for it.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -20,6 +20,7 @@ from labrun.gap import criteria
 from labrun.gap.candidates import site_scales
 from labrun.gap.held_out import fitted_excess
 from labrun.gap.noise import Noise
+from labrun.gap.noise_threshold import NoiseThreshold
 from labrun.gap.rest_law import folds_of_rows
 from labrun.gap.screening import Base, refit
 
@@ -56,41 +57,83 @@ damping_ratio = { quantity = "ratio", lower = 0.0, upper = 1.0, starts = [0.03],
 """
 
 
-def needless_beside(problem: Problem, z: FloatArray, noise: Noise) -> str:
-    """Return the law beside which hardly anything of any cause is needed, in words; "" if there is none.
+def better_alone(
+    problem: Problem,
+    z: FloatArray,
+    bare: tuple[Problem, FloatArray],
+    noise: Noise,
+    threshold: NoiseThreshold,
+    floor: float,
+) -> str:
+    """Return the law that by itself explains plainly more than all causes do, in words; "" if there is none.
 
-    Of the laws that predict best what the causes leave of conditions (of one condition, of blocks of time) that they
-    did not see, it is the one that leaves least, fitted with the causes and all that is fitted anyway. A law of no
-    other arguments than a cause at its site is none: the cause is then of another form.
+    Of the laws that predict best what the model without causes leaves of conditions (of one condition, of blocks of
+    time) that they did not see, it is the one that leaves least, if that is next to nothing. A law of no other
+    arguments than a cause at its site is none: the cause is then of another form.
+
+    Parameters
+    ----------
+    problem, z
+        Model and causes, fitted.
+    bare
+        The same without any cause.
+    threshold
+        What chance would let a further cause gain.
+    floor
+        Gap that noise alone leaves.
     """
-    base = Base.of(problem, z)
-    rest = base.nuisance.remainder(base.residual, problem.priors.residual(z))
-    fold = folds_of_rows(problem, [len(one) for one in base.residual], len(rest))
-    laws = list(_laws(problem, z))
-    predicted = np.array([_predicted(_columns(base, scale, law), rest, fold) for _, scale, law in laws])
-    likely = [n for n in np.argsort(predicted)[::-1][: criteria.STARTS_FOLLOWED] if predicted[n] > 0.0]
+    without, begin = bare[0].with_noise(problem.noise).in_steps_of(problem), bare[1]
+    base = Base.of(without, begin)
+    rest = base.nuisance.remainder(base.residual, without.priors.residual(begin))
+    fold = folds_of_rows(without, [len(one) for one in base.residual], len(rest))
+    likely = _likeliest(
+        (_predicted(_columns(base, scale, law), rest, fold), site, scale, law)
+        for site, scale, law in _laws(without, begin)
+        if not _is_own(problem, site, law.effect)
+    )
     if not likely:
         return ""
-    (site, law), beside, end = min((_beside(problem, z, *laws[n]) for n in likely), key=_squares)
-    before, after = (fitted_excess(*one, noise).total for one in ((problem, z), (beside, end)))
-    explained = before > 0.0 and after <= (1.0 - criteria.REST_EXPLAINED) * before
-    goes = explained and not _is_own(problem, site, law) and _kept(problem, z, end) <= criteria.KEPT_BESIDE
-    return f"{_words(law)} at {site.name}" if goes else ""
+    (site, law), alone, end = min((_alone(without, begin, *one) for one in likely), key=_squares)
+    fits = ((without, begin), (problem, z), (alone, end))
+    whole, left, less = (fitted_excess(*one, noise).total for one in fits)
+    gain = problem.squares(z) - alone.squares(end)
+    variables = [not one.held for effect in problem.effects for one in effect.effect.parameters]
+    price = criteria.VARIABLE_PRICE * max(alone.size - without.size - sum(variables), 0)
+    plainly = threshold.evidence(gain) > 1.0 and threshold.log_likelihood(gain) > price
+    more = left - less >= criteria.ALONE_EXPLAINS * abs(left)  # what is left may be less than noise leaves
+    nearly_all = less <= max(criteria.ALONE_LEAVES * whole, floor**2)
+    return f"{_words(law)} at {site.name}" if plainly and more and nearly_all else ""
 
 
-_Beside = tuple[tuple[Site, Effect], Problem, FloatArray]
+_Likely = tuple[Site, Scale, AttachedEffect]
 
 
-def _beside(problem: Problem, z: FloatArray, site: Site, scale: Scale, law: AttachedEffect) -> _Beside:
+def _likeliest(laws: Iterable[tuple[float, Site, Scale, AttachedEffect]]) -> list[_Likely]:
+    """Return the few laws that predict most, each in its best shape; none that predicts nothing."""
+    best = dict[tuple[str, str, str], tuple[float, Site, Scale, AttachedEffect]]()
+    for one in laws:
+        share, site, _, law = one
+        key = (site.kind, site.name, law.effect.id)
+        if share > max(best[key][0] if key in best else 0.0, 0.0):
+            best[key] = one
+    ordered = sorted(best.values(), key=lambda one: -one[0])[: criteria.STARTS_FOLLOWED]
+    least = criteria.ALONE_NEAR_BEST * ordered[0][0] if ordered else 0.0
+    return [(site, scale, law) for share, site, scale, law in ordered if share >= least]
+
+
+_Alone = tuple[tuple[Site, Effect], Problem, FloatArray]
+
+
+def _alone(problem: Problem, z: FloatArray, site: Site, scale: Scale, law: AttachedEffect) -> _Alone:
     """Return a law, its shape fitted, too, with the problem it is in, and the fit."""
     law, sizes = _with_its_shape(law, scale)
-    beside = problem.with_effects([law], [scale])
-    return (site, law.effect), beside, refit(beside, np.insert(z, problem.size, sizes))
+    alone = problem.with_effects([law], [scale])
+    return (site, law.effect), alone, refit(alone, np.insert(z, problem.size, sizes))
 
 
-def _squares(one: _Beside) -> float:
-    _, beside, end = one
-    return beside.squares(end)
+def _squares(one: _Alone) -> float:
+    _, alone, end = one
+    return alone.squares(end)
 
 
 def _with_its_shape(law: AttachedEffect, scale: Scale) -> tuple[AttachedEffect, list[float]]:
@@ -201,14 +244,3 @@ def _is_own(problem: Problem, site: Site, law: Effect) -> bool:
         and (not one.effect.arguments or (law.arguments <= one.effect.arguments and not law.states))
         for one in problem.effects
     )
-
-
-def _kept(problem: Problem, z: FloatArray, end: FloatArray) -> float:
-    """Return the part of its size that the cause keeps that keeps most; levels have no size that could go."""
-    variable, kept = problem.size, [0.0]
-    for one in reversed(problem.effects):
-        free = [parameter for parameter in one.effect.parameters if not parameter.held]
-        variable -= len(free)
-        sizes = [n for n, parameter in enumerate(free, variable) if parameter.neutral == 0.0]
-        kept.append(float(end[sizes] @ z[sizes] / (z[sizes] @ z[sizes])) if np.any(z[sizes]) else 1.0)
-    return max(kept)

@@ -26,8 +26,9 @@ class VerdictBasis:
         How many there are.
     share_of_seen
         Share of the excess that the causes remove where nothing is withheld.
-    needless_beside
-        A law of what they leave, in words, beside which hardly anything of them is needed; "" if there is none.
+    better_alone
+        A law that without causes explains plainly more than they do, or than the best candidate does where there are
+        none, in words; "" if there is none.
     """
 
     sizes: Sizes
@@ -39,7 +40,7 @@ class VerdictBasis:
     beyond_scatter: BeyondScatter = field(default_factory=BeyondScatter)
     trials: int = 1
     share_of_seen: float = 1.0
-    needless_beside: str = ""
+    better_alone: str = ""
 
     @property
     def left_is_gap(self) -> bool:
@@ -51,7 +52,8 @@ class VerdictBasis:
         """
         least = criteria.BEYOND_FLOOR * self.sizes.floor if self.noise_known else 1.0
         learned = self.beyond_scatter.learnable >= criteria.LEARNABLE and self.sizes.after >= least
-        return (self._is_seen and learned) or bool(self.why_no_noise)
+        lawful = not self.effects + self.parameters and bool(self.better_alone)
+        return (self._is_seen and (learned or lawful)) or bool(self.why_no_noise)
 
     @property
     def why_no_noise(self) -> str:
@@ -96,12 +98,14 @@ class VerdictBasis:
     def impostors(self) -> bool:
         """Whether causes stand in for something else that makes a plain gap.
 
-        They do if a law of what they leave makes them needless, or if they remove too little; without repeats, if that
-        is sure. With repeats it is asked of what they have seen, too: where conditions are withheld, recalibrated
-        parameters extrapolate and leave more, and removing that is no merit.
+        They do if a law explains more without them, or if they leave a plain gap and remove too little; without
+        repeats, if that is sure. With repeats it is asked of what they have seen, too: where conditions are withheld,
+        recalibrated parameters extrapolate and leave more, and removing that is no merit.
         """
-        if self.needless_beside:
+        if self.better_alone:
             return True
+        if not self.left_is_gap:
+            return False
         if not self.noise_known:
             return self.most_removed < criteria.WHOLE_SHARE
         return min(self.known_share, self.share_of_seen) < criteria.WHOLE_SHARE
@@ -137,7 +141,7 @@ def verdict(found: VerdictBasis) -> Verdict:
         if _recalibration_helps(found.sizes) and not plainly_left:
             return "parameter"
         return "no-gap" if found.noise_known or not found.remains else "undecided"
-    if found.left_is_gap and found.impostors:
+    if found.impostors:
         return "not-in-library"
     if found.effects == 0:
         # a parameter's form is the model's own: what it plainly leaves has another cause
@@ -163,7 +167,7 @@ def sentence(
     noise_known: bool = True,
     differs: Sequence[str] = (),
     rest: bool = False,
-    needless_beside: str = "",
+    better_alone: str = "",
 ) -> str:
     """Return the verdict as one sentence, behind one on what differs by trial.
 
@@ -175,7 +179,7 @@ def sentence(
         How many there are: of one, nothing could be withheld from the fit.
     rest
         Whether what the causes leave is plainly more than noise.
-    needless_beside
+    better_alone
         See `VerdictBasis`.
     """
     if differs:
@@ -188,7 +192,7 @@ def sentence(
             conditions=conditions,
             noise_known=noise_known,
             rest=rest,
-            needless_beside=needless_beside,
+            better_alone=better_alone,
         )
         return f"{_capital(' and '.join(differs))}. Beside that: {beside[:1].lower()}{beside[1:]}"
     raw, recalibrated = significant(sizes.raw), significant(sizes.recalibrated)
@@ -220,9 +224,14 @@ def sentence(
             f"{recalibrated} times {unit}, and {end}."
         )
     names, several = " and ".join(one.words for one in nearest), len(nearest) > 1
-    does, needed = ("remove", "are hardly needed") if several else ("removes", "is hardly needed")
+    does, it = ("remove", "them") if several else ("removes", "it")
     told = f"; the nearest, {names}, {does}{removed or ' too little'} of it" if nearest else ""
-    told += f", but {needed} beside {needless_beside}" if needless_beside else ""
+    if better_alone:
+        told += (
+            f", but {better_alone} explains more without {it}"
+            if nearest
+            else f"; {better_alone} explains some of it"
+        )
     outside = "" if noise_known else ", or acts from outside of what was recorded"
     return (
         f"The cause is not in the library{outside}: a gap of {recalibrated} times {unit} remains after "

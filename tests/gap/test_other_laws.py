@@ -1,4 +1,4 @@
-"""A cause that stands in for something else is not needed beside that; a right one is, whatever explains its rest."""
+"""What a cause stands in for explains more than it does; beside a right one no law does, whatever explains its rest."""
 
 from dataclasses import replace
 
@@ -9,7 +9,8 @@ from scipy.integrate import solve_ivp
 from labrun.effects import load_effect
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import site_scales
-from labrun.gap.other_laws import needless_beside
+from labrun.gap.noise_threshold import NoiseThreshold
+from labrun.gap.other_laws import better_alone
 from labrun.gap.recalibration import recalibrate
 from labrun.gap.screening import refit
 
@@ -45,8 +46,8 @@ def with_a_rider(data):
     return replace(data, trials=tuple(trials))
 
 
-def made_needless(data, cause):
-    """Return beside what a cause at the hinge is not needed, once it is fitted to a recording."""
+def better_than(data, cause):
+    """Return which law explains a recording better than a cause at the hinge, once both are fitted to it."""
     model = pendulum()
     found = recalibrate(model, averaged(data, model), np.random.default_rng(0), lambda _: None)
     scale = site_scales(found.problem, found.z)["joint", "hinge"]
@@ -54,12 +55,18 @@ def made_needless(data, cause):
     problem = found.problem.with_effects([attached], [scale])
     sizes = [one.starts[0] for one in attached.effect.parameters if not one.held]
     end = refit(problem, np.insert(found.z, found.problem.size, sizes))
-    return needless_beside(problem, end, found.noise)
+    chance = NoiseThreshold(gain=20.0, dispersion=1.0)
+    return better_alone(problem, end, (found.problem, found.z), found.noise, chance, floor=0.1)
 
 
-def test_an_inertia_that_stands_in_for_a_mass_on_a_spring_is_not_needed_beside_one():
+def test_a_mass_on_a_spring_explains_more_than_the_inertia_that_stood_in_for_it():
     data = with_a_rider(recorded(noise=1e-3))
-    assert made_needless(data, "added-inertia") == "a mass on a spring that rides at hinge"
+    assert better_than(data, "added-inertia") == "a mass on a spring that rides at hinge"
+
+
+def test_a_damper_that_warms_explains_more_than_the_damping_that_stood_in_for_it():
+    data = recorded(lambda t, q, v: -2e-3 * v * (1.0 - np.exp(-t / 3.0)), noise=1e-3)
+    assert better_than(data, "viscous-damping") == "a law of rate and time at hinge"
 
 
 @pytest.mark.parametrize(
@@ -71,12 +78,16 @@ def test_an_inertia_that_stands_in_for_a_mass_on_a_spring_is_not_needed_beside_o
     ],
     ids=["a law of position", "a force of time", "a damper that changes"],
 )
-def test_a_right_cause_is_needed_beside_whatever_explains_what_it_leaves(beside):
+def test_no_law_explains_as_much_as_a_right_cause_whatever_explains_what_it_leaves(beside):
     friction = 5e-3
     data = recorded(lambda t, q, v: -friction * float(np.tanh(v / 0.02)) + beside(t, q, v), noise=1e-3)
-    assert made_needless(data, "coulomb-friction") == ""
+    assert better_than(data, "coulomb-friction") == ""
 
 
 def test_where_the_rest_is_a_law_of_the_causes_own_arguments_its_form_is_another_one_and_it_is_no_stand_in():
     data = recorded(lambda t, q, v: -2e-5 * v**3, noise=1e-3)
-    assert made_needless(data, "quadratic-drag") == ""
+    assert better_than(data, "quadratic-drag") == ""
+
+
+def test_no_law_is_better_than_a_cause_by_what_chance_may_explain():
+    assert better_than(recorded(noise=1e-3), "viscous-damping") == ""

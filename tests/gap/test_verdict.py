@@ -58,14 +58,18 @@ def test_where_repeats_tell_the_noise_a_share_is_asked_of_what_was_withheld_and_
 
 
 @pytest.mark.parametrize("repeated", [True, False])
-def test_causes_that_a_law_of_what_they_leave_makes_needless_are_impostors_however_much_they_remove(repeated):
+def test_causes_that_a_law_explains_more_than_are_impostors_however_much_they_remove(repeated):
     plain = findings(
         sizes=(60.0, 54.0, 10.8, 0.2), share=(0.997, 0.99, 1.0), remains=True, repeated=repeated, size=18.0
     )
     assert verdict(plain) == "explained"
-    assert (
-        verdict(replace(plain, needless_beside="a mass on a spring that rides at hinge")) == "not-in-library"
-    )
+    assert verdict(replace(plain, better_alone="a mass on a spring that rides at hinge")) == "not-in-library"
+
+
+def test_what_a_law_explains_and_no_candidate_does_is_not_in_the_library_though_nothing_of_it_is_learned():
+    found = nothing_found(sizes=(60.0, 0.5, 0.5, 0.3))
+    assert verdict(found) == "parameter"
+    assert verdict(replace(found, better_alone="a mass on a spring that rides at hinge")) == "not-in-library"
 
 
 def test_what_may_be_noise_of_the_rest_is_not_held_against_a_weak_cause():

@@ -89,7 +89,7 @@ def test_what_is_nearest_is_all_that_was_chosen_with_the_share_it_removes() -> N
     assert "the nearest, drift at speed and bias at thrust, remove 96 % of it" in told
 
 
-def test_what_is_hardly_needed_beside_another_law_is_told_with_that_law() -> None:
+def test_what_another_law_explains_more_than_is_told_with_that_law() -> None:
     told = sentence(
         "not-in-library",
         Sizes(31.0, 2.3, 0.6, 0.15),
@@ -97,8 +97,8 @@ def test_what_is_hardly_needed_beside_another_law_is_told_with_that_law() -> Non
         Shrinkage(0.93, 0.9, 0.95),
         (Name("added-inertia", "elbow"),),
         conditions=4,
-        needless_beside="a mass on a spring that rides at elbow",
+        better_alone="a mass on a spring that rides at elbow",
     )
     assert told.endswith(
-        "removes 93 % of it, but is hardly needed beside a mass on a spring that rides at elbow."
+        "removes 93 % of it, but a mass on a spring that rides at elbow explains more without it."
     )

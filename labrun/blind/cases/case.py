@@ -139,7 +139,8 @@ def _draw(kind: str, chosen: Chosen, rng: np.random.Generator, asked: Asked, zer
         share = min(share, _LARGEST_GAP_SHARE / aim)
     noise = [replace(one, zero=round(zero, 3)) for one in draw_noise(rng, share * size, asked.noise)]
     sensor = np.array([one.sd for one in noise])
-    projection = Projection(plant, recorded, plant.truth, sensor)
+    zeros = zero > 0.0
+    projection = Projection(plant, recorded, plant.truth, sensor, zeros=zeros)
     free = sum(one.tolerance != 0.0 for one in plant.parameters)
     scatter = float(np.exp(rng.uniform(np.log(0.002), np.log(0.02)))) if rng.random() < 0.5 else 0.0
     if scatter:
@@ -161,7 +162,7 @@ def _draw(kind: str, chosen: Chosen, rng: np.random.Generator, asked: Asked, zer
 
     # how large the gap really is, and the noise that makes it the one that is aimed at
     changed = fixed(Bench(plant, recorded, plant.truth, hidden)) if hidden else outputs
-    left = Recalibration(_held(plant, wrong), recorded, stated).run(changed, total)
+    left = Recalibration(_held(plant, wrong), recorded, stated, zeros=zeros).run(changed, total)
     if hidden or wrong:
         scatter = min(scatter * max(size_of(left.residual, total) / aim, 0.05), _MOST_SCATTER)
         scattered = projection.scatter(np.full(free, scatter))

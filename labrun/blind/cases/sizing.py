@@ -35,12 +35,15 @@ class Recalibration:
     """The bare model beside one programme of trials, as the person at the bench would calibrate it.
 
     Free are all parameters that are not known exactly, each held by its tolerance, and per trial the initial states
-    that the model file calls "free". All difference quotients run side by side in one simulation. `stated`: the
-    parameters as the model file has them.
+    that the model file calls "free", and the zero of each output where every trial has one of its own (`zeros`). All
+    difference quotients run side by side in one simulation. `stated`: the parameters as the model file has them.
     """
 
-    def __init__(self, plant: Plant, programme: Programme, stated: Mapping[str, float]) -> None:
+    def __init__(
+        self, plant: Plant, programme: Programme, stated: Mapping[str, float], *, zeros: bool = False
+    ) -> None:
         self.plant = plant
+        self.zeros = zeros
         self.programme = programme
         self.stated = dict(stated)
         self.free = [one for one in plant.parameters if one.tolerance != 0.0]
@@ -77,6 +80,10 @@ class Recalibration:
                 slopes[:, :, trial, p + index * n + trial] = (y[:, :, column] - base[:, :, trial]) / _STEP
         return base, slopes
 
+    def less_zeros(self, outputs: FloatArray) -> FloatArray:
+        """Return outputs (outputs, samples, ...) without their means over each trial, where these tell nothing."""
+        return outputs - np.mean(outputs, axis=1, keepdims=True) if self.zeros else outputs
+
     def run(self, measured: FloatArray, sd: FloatArray, rounds: int = 12) -> Left:
         """Calibrate on noise-free `measured`, weighed by the noise `sd` of each output."""
         weight = 1.0 / sd[:, None, None]
@@ -92,8 +99,8 @@ class Recalibration:
                 cache.clear()
                 try:
                     base, slopes = self.simulate(z)
-                    residual = ((base - measured) * weight).ravel()
-                    jacobian = (slopes * weight[..., None]).reshape(len(residual), count)
+                    residual = (self.less_zeros(base - measured) * weight).ravel()
+                    jacobian = (self.less_zeros(slopes) * weight[..., None]).reshape(len(residual), count)
                 except BlewUpError:
                     residual, jacobian = np.full(measured.size, _HUGE), np.zeros((measured.size, count))
                 prior = np.zeros((len(tight), count))
@@ -217,11 +224,20 @@ class OutOfReachError(Exception):
 class Projection:
     """What recalibration would leave of a small change of the outputs."""
 
-    def __init__(self, plant: Plant, programme: Programme, truth: dict[str, float], sd: FloatArray) -> None:
-        bare = Recalibration(plant, programme, truth)
+    def __init__(
+        self,
+        plant: Plant,
+        programme: Programme,
+        truth: dict[str, float],
+        sd: FloatArray,
+        *,
+        zeros: bool = False,
+    ) -> None:
+        bare = self._bare = Recalibration(plant, programme, truth, zeros=zeros)
         count = len(bare.free) + len(bare.starts) * bare.trials
         z = np.concatenate([np.ones(len(bare.free)), np.zeros(count - len(bare.free))])
         self.base, slopes = bare.simulate(z)
+        slopes = bare.less_zeros(slopes)
         self.sd = sd
         self._jacobian = (slopes / sd[:, None, None, None]).reshape(self.base.size, count)
         prior = np.zeros(count)
@@ -233,7 +249,7 @@ class Projection:
 
     def signature(self, changed: FloatArray) -> FloatArray:
         """Return what is left, in units of the noise, of outputs that differ from the bare bench's; flat."""
-        d = ((changed - self.base) / self.sd[:, None, None]).ravel()
+        d = (self._bare.less_zeros(changed - self.base) / self.sd[:, None, None]).ravel()
         return np.asarray(d - self._jacobian @ (self._inverse @ (self._jacobian.T @ d)))
 
     def left(self, changed: FloatArray) -> float:

@@ -11,7 +11,7 @@ from labrun.blind.cases.mixture import DECK, ChannelNoise, choose, kind_of, plac
 from labrun.blind.cases.plant import Hidden, Measures, Programme
 from labrun.blind.cases.plants import PLANTS, FreeDecay, HingeDrive, LinearStage, Swimmer
 from labrun.blind.cases.simulate import adaptive, fixed
-from labrun.blind.cases.sizing import Recalibration, measure, size_of
+from labrun.blind.cases.sizing import Projection, Recalibration, measure, size_of
 
 
 def drawn(kind, wanted, start=0):
@@ -209,6 +209,19 @@ def test_recalibration_finds_the_truth_of_a_bare_bench() -> None:
     assert size_of(left.residual, sd) < 1e-2
     for name, value in left.parameters.items():
         assert value == pytest.approx(plant.truth[name], rel=1e-3)
+
+
+def test_what_only_shifts_an_output_leaves_no_gap_where_every_trial_has_a_zero_of_its_own() -> None:
+    plant = drawn(HingeDrive, lambda one: len(one.outputs) == 2)
+    programme = plant.programme(np.random.default_rng(0), 4)
+    plain = fixed(Bench(plant, programme, plant.truth))
+    sd = 0.01 * np.std(plain, axis=(1, 2))
+    shifted = plain + (5.0 * sd)[:, None, None]
+    alike, apart = (Projection(plant, programme, plant.truth, sd, zeros=zeros) for zeros in (True, False))
+    assert alike.left(shifted) < 1e-9
+    assert apart.left(shifted) > 1.0
+    left = Recalibration(plant, programme, plant.truth, zeros=True).run(shifted, sd)
+    assert size_of(left.residual, sd) < 1e-2
 
 
 @pytest.mark.parametrize("colour", ["white", "ar1", "counts"])
