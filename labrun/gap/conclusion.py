@@ -310,8 +310,16 @@ def _law_instead(search: Search, chosen: Sequence[Chosen], floor: float) -> str:
     beside = selection.final if chosen else max(at.screened, key=lambda one: one.gain, default=None)
     if beside is None:
         return ""
-    without = bare.problem, bare.z
-    return better_alone(beside.problem, beside.z, without, search.noise, at.threshold, floor)
+    told = [rival.candidate.attached for one in chosen for rival, _ in one.rivals]
+    return better_alone(
+        beside.problem,
+        beside.z,
+        (bare.problem, bare.z),
+        search.noise,
+        at.threshold,
+        floor,
+        rivals=[one for one in told if one is not None],
+    )
 
 
 def _unannounced(chosen: Sequence[Chosen], found: VerdictBasis) -> tuple[str, ...]:

@@ -43,6 +43,7 @@ _SIGNALS = (
 _SAID = {"t": "time", "q": "position"}
 _HELPERS = {"x": "q/c", "u": "rate/v", "S": "tanh(50*rate/v)", "y": "signal/s"}
 _SCALES = {"c": "coordinate", "v": "rate", "s": "signal", "T": "time"}
+_SLOW = frozenset({"t", "signal"})
 _RIDER = """
 [rider]
 title = "A mass on a spring that rides on the joint."
@@ -64,6 +65,8 @@ def better_alone(
     noise: Noise,
     threshold: NoiseThreshold,
     floor: float,
+    *,
+    rivals: Sequence[AttachedEffect] = (),
 ) -> str:
     """Return the law that by itself explains plainly more than all causes do, in words; "" if there is none.
 
@@ -81,6 +84,8 @@ def better_alone(
         What chance would let a further cause gain.
     floor
         Gap that noise alone leaves.
+    rivals
+        What the data cannot tell from the causes: a law of no other arguments is none there, either.
     """
     without, begin = bare[0].with_noise(problem.noise).in_steps_of(problem), bare[1]
     base = Base.of(without, begin)
@@ -89,7 +94,7 @@ def better_alone(
     likely = _likeliest(
         (_predicted(_columns(base, scale, law), rest, fold), site, scale, law)
         for site, scale, law in _laws(without, begin)
-        if not _is_own(problem, site, law.effect)
+        if not _is_own((*problem.effects, *rivals), site, law.effect)
     )
     if not likely:
         return ""
@@ -236,11 +241,19 @@ def _predicted(columns: FloatArray, rest: FloatArray, fold: NDArray[np.intp]) ->
     return 1.0 - left / total if total > 0.0 else 0.0
 
 
-def _is_own(problem: Problem, site: Site, law: Effect) -> bool:
-    """Tell whether a law has no other arguments than a cause at its site; those in Python may have any."""
+def _is_own(causes: Sequence[AttachedEffect], site: Site, law: Effect) -> bool:
+    """Tell whether a law has no other arguments than a cause at its site; those in Python may have any.
+
+    What hardly changes but with time looks the same at many sites: beside a bias that settles, a law of time is no
+    other law wherever it is.
+    """
+    slow = "t" in law.arguments and law.arguments <= _SLOW
     return any(
-        one.site == site.name
-        and one.effect.kind == site.kind
-        and (not one.effect.arguments or (law.arguments <= one.effect.arguments and not law.states))
-        for one in problem.effects
+        (slow and one.effect.arguments <= _SLOW)
+        or (
+            one.site == site.name
+            and one.effect.kind == site.kind
+            and (not one.effect.arguments or (law.arguments <= one.effect.arguments and not law.states))
+        )
+        for one in causes
     )

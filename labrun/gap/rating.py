@@ -248,10 +248,9 @@ def rivals_of(
     near = [
         one
         for one in rated
-        if one.evidence > criteria.RIVAL_EVIDENCE
-        and one.share >= best.share - criteria.RIVAL_SHARE
-        and not _best_again(best, one)
+        if one.evidence > criteria.RIVAL_EVIDENCE and one.share >= best.share - criteria.RIVAL_SHARE
     ]
+    near = [one for one in near if not any(_earns_nothing(one, other) for other in (best, *near))]
     if best not in near:
         near.append(best)
     if relative:  # of two forms that both leave much, the richer one says no more than the simpler one
@@ -287,7 +286,7 @@ def _kin(best: Rated, rated: Sequence[Rated]) -> list[tuple[Rated, float]]:
         and one.evidence > criteria.RIVAL_EVIDENCE
         and one.share
         >= best.share - (criteria.SHARE_BEHIND_BEST if _contains(best, one) else criteria.RIVAL_SHARE)
-        and not _best_again(best, one)
+        and not _earns_nothing(one, best)
     ]
     return [(max(near, key=lambda one: (_contains(best, one), one.score)), 0.0)] if near else []
 
@@ -301,9 +300,9 @@ def _contains(rich: Rated, simple: Rated) -> bool:
     return other.name.effect in one.attached.effect.contains and not mutual
 
 
-def _best_again(best: Rated, one: Rated) -> bool:
-    """Tell whether this is the best again, a richer form at its site that earns nothing by what it has more."""
-    return _contains(one, best) and one.score <= best.score
+def _earns_nothing(rich: Rated, simple: Rated) -> bool:
+    """Tell whether a candidate is another one again, in a richer form that earns nothing by what it has more."""
+    return _contains(rich, simple) and rich.score <= simple.score
 
 
 def _richer(one: Rated, other: Rated) -> bool:

@@ -33,6 +33,11 @@ def test_a_richer_form_that_earns_nothing_is_the_best_again_and_no_rival():
     assert names(rated("coulomb-friction", 50.0), [rated("hysteresis", 49.5)]) == []
 
 
+def test_a_richer_form_of_a_rival_that_earns_nothing_is_that_rival_again():
+    dry, stribeck = rated("coulomb-friction", 48.0), rated("stribeck-friction", 47.5)
+    assert names(rated("load-dependent-friction", 50.0), [dry, stribeck]) == ["coulomb-friction"]
+
+
 def test_a_simpler_form_that_does_nearly_as_well_is_the_kin_that_is_told():
     # dry friction that yields 2.5 mrad first: a person mends it by the friction their simulator has
     best, bouc_wen = rated("presliding-friction", 900.0), rated("hysteresis", 600.0)
