@@ -292,7 +292,7 @@ def _basis(search: Search, chosen: Sequence[Chosen], floor: float, rng: np.rando
         beyond_scatter(end.problem, end.z, noise) if remains else BeyondScatter(),
         len(search.dataset.trials),
         1.0 - left.total / whole if whole > 0.0 else 1.0,
-        _law_instead(search, chosen, floor) if chosen or remains else "",
+        _law_instead(search, chosen, floor),
     )
     return basis if shrunk is None else replace(basis, shrinkage=replace(shrunk, high=basis.most_removed))
 
@@ -304,12 +304,12 @@ def _law_instead(search: Search, chosen: Sequence[Chosen], floor: float) -> str:
     """
     selection, bare = search.selection, search.recalibration
     followed = any(one.followed for one in search.model.outputs)
-    if followed or selection.final.brisk or any(one.name.kind == "parameter" for one in chosen):
+    of_parameters = any(one.name.kind == "parameter" for one in chosen)
+    if not search.candidates or followed or selection.final.brisk or of_parameters:
         return ""
     at = selection.rounds[-1 if chosen else 0]
-    beside = selection.final if chosen else max(at.screened, key=lambda one: one.gain, default=None)
-    if beside is None:
-        return ""
+    gaining = [one for one in at.screened if one.gain > 0.0]
+    beside = selection.final if chosen else max(gaining, key=lambda one: one.gain, default=bare)
     told = [rival.candidate.attached for one in chosen for rival, _ in one.rivals]
     return better_alone(
         beside.problem,

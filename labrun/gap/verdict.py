@@ -52,8 +52,11 @@ class VerdictBasis:
         """
         least = criteria.BEYOND_FLOOR * self.sizes.floor if self.noise_known else 1.0
         learned = self.beyond_scatter.learnable >= criteria.LEARNABLE and self.sizes.after >= least
-        lawful = not self.effects + self.parameters and bool(self.better_alone)
-        return (self._is_seen and (learned or lawful)) or bool(self.why_no_noise)
+        if (
+            not self.effects + self.parameters and self.better_alone
+        ):  # its size is no smaller than chance tells it to be
+            return self.sizes.after >= criteria.SMALL_GAP_UNEXPLAINED
+        return (self._is_seen and learned) or bool(self.why_no_noise)
 
     @property
     def why_no_noise(self) -> str:
