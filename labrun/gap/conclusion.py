@@ -36,6 +36,7 @@ from labrun.gap.other_laws import better_alone
 from labrun.gap.pipeline import Search
 from labrun.gap.rating import Rated
 from labrun.gap.recalibration import member_residuals
+from labrun.gap.screening import refit
 from labrun.gap.selection import Chosen
 from labrun.gap.trial_wise import remaining, words
 from labrun.gap.verdict import (
@@ -307,13 +308,13 @@ def _law_instead(search: Search, chosen: Sequence[Chosen], floor: float) -> str:
     of_parameters = any(one.name.kind == "parameter" for one in chosen)
     if not search.candidates or followed or selection.final.brisk or of_parameters:
         return ""
-    at = selection.rounds[-1 if chosen else 0]
-    gaining = [one for one in at.screened if one.gain > 0.0]
-    beside = selection.final if chosen else max(gaining, key=lambda one: one.gain, default=bare)
+    at, beside = selection.rounds[-1 if chosen else 0], (selection.final.problem, selection.final.z)
+    if not chosen:  # what promised too little was not fitted
+        best = max(at.screened, key=lambda one: one.gain, default=bare)
+        beside = best.problem, refit(best.problem, best.z)
     told = [rival.candidate.attached for one in chosen for rival, _ in one.rivals]
     return better_alone(
-        beside.problem,
-        beside.z,
+        beside,
         (bare.problem, bare.z),
         search.noise,
         at.threshold,

@@ -6,7 +6,7 @@ mass on a spring of an inertia that stood for it.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -58,10 +58,13 @@ damping_ratio = { quantity = "ratio", lower = 0.0, upper = 1.0, starts = [0.03],
 """
 
 
+_Fit = tuple[Problem, FloatArray]
+_Law = tuple[Site, Scale, AttachedEffect]
+
+
 def better_alone(
-    problem: Problem,
-    z: FloatArray,
-    bare: tuple[Problem, FloatArray],
+    causes: _Fit,
+    bare: _Fit,
     noise: Noise,
     threshold: NoiseThreshold,
     floor: float,
@@ -72,11 +75,12 @@ def better_alone(
 
     Of the laws that predict best what the model without causes leaves of conditions (of one condition, of blocks of
     time) that they did not see, it is the one that leaves least, if that is next to nothing. A law of no other
-    arguments than a cause at its site is none: the cause is then of another form.
+    arguments than a cause at its site is none: the cause is then of another form. Laws are looked at in the conditions
+    that leave most, and the best of them in all.
 
     Parameters
     ----------
-    problem, z
+    causes
         Model and causes, fitted.
     bare
         The same without any cause.
@@ -87,58 +91,75 @@ def better_alone(
     rivals
         What the data cannot tell from the causes: a law of no other arguments is none there, either.
     """
-    without, begin = bare[0].with_noise(problem.noise).in_steps_of(problem), bare[1]
-    base = Base.of(without, begin)
-    rest = base.nuisance.remainder(base.residual, without.priors.residual(begin))
-    fold = folds_of_rows(without, [len(one) for one in base.residual], len(rest))
-    likely = _likeliest(
-        (_predicted(_columns(base, scale, law), rest, fold), site, scale, law)
-        for site, scale, law in _laws(without, begin)
-        if not _is_own((*problem.effects, *rivals), site, law.effect)
-    )
-    if not likely:
+    problem, z = causes
+    bare = bare[0].with_noise(problem.noise).in_steps_of(problem), bare[1]
+    units = _where_most_is_left(*bare)
+    part = _part(*bare, units)
+    own = (*problem.effects, *rivals)
+    fits = [(law, _alone(*part, law)) for law in _likeliest(*part, own)]
+    if not fits:
         return ""
-    (site, law), alone, end = min((_alone(without, begin, *one) for one in likely), key=_squares)
-    fits = ((without, begin), (problem, z), (alone, end))
-    whole, left, less = (fitted_excess(*one, noise).total for one in fits)
-    gain = problem.squares(z) - alone.squares(end)
-    variables = [not one.held for effect in problem.effects for one in effect.effect.parameters]
-    price = criteria.VARIABLE_PRICE * max(alone.size - without.size - sum(variables), 0)
-    plainly = threshold.evidence(gain) > 1.0 and threshold.log_likelihood(gain) > price
-    more = left - less >= criteria.ALONE_EXPLAINS * abs(left)  # what is left may be less than noise leaves
-    nearly_all = less <= max(criteria.ALONE_LEAVES * whole, floor**2)
-    return f"{_words(law)} at {site.name}" if plainly and more and nearly_all else ""
+    law, alone = min(fits, key=lambda one: one[1][0].squares(one[1][1]))
+    better = _explains_more(_part(problem, z, units), part, alone, noise, threshold, floor)
+    if better and len(units) < len(problem.data.trials):
+        better = _explains_more(causes, bare, _alone(*bare, law), noise, threshold, floor)
+    site, _, attached = law
+    return f"{_words(attached.effect)} at {site.name}" if better else ""
 
 
-_Likely = tuple[Site, Scale, AttachedEffect]
+def _explains_more(
+    causes: _Fit, bare: _Fit, alone: _Fit, noise: Noise, threshold: NoiseThreshold, floor: float
+) -> bool:
+    """Tell whether a law without causes leaves next to nothing, and plainly less than the causes do."""
+    (problem, z), (with_law, end), (without, _) = causes, alone, bare
+    gain = problem.squares(z) - with_law.squares(end)
+    variables = sum(not one.held for effect in problem.effects for one in effect.effect.parameters)
+    price = criteria.VARIABLE_PRICE * max(with_law.size - without.size - variables, 0)
+    whole, left, less = (fitted_excess(*one, noise).total for one in (bare, causes, alone))
+    return bool(
+        threshold.evidence(gain) > 1.0
+        and threshold.log_likelihood(gain) > price
+        and left - less >= criteria.ALONE_EXPLAINS * abs(left)  # what is left may be less than noise leaves
+        and less <= max(criteria.ALONE_LEAVES * whole, floor**2)
+    )
 
 
-def _likeliest(laws: Iterable[tuple[float, Site, Scale, AttachedEffect]]) -> list[_Likely]:
+def _where_most_is_left(problem: Problem, z: FloatArray) -> list[int]:
+    """Return the trials of those conditions, not many, in which most is left."""
+    left = np.zeros(len(problem.data.conditions))
+    for trial, residual in zip(problem.data.trials, problem.residuals(z), strict=True):
+        left[trial.group] += float(residual @ residual)
+    most = set(np.argsort(-left)[: criteria.MOST_CONDITIONS].tolist())
+    return [unit for unit, one in enumerate(problem.data.trials) if one.group in most]
+
+
+def _part(problem: Problem, z: FloatArray, units: Sequence[int]) -> _Fit:
+    own = [problem.own(z, unit) for unit in units]
+    return problem.part(units), np.concatenate([z[: problem.size], *own])
+
+
+def _likeliest(problem: Problem, z: FloatArray, causes: Sequence[AttachedEffect]) -> list[_Law]:
     """Return the few laws that predict most, each in its best shape; none that predicts nothing."""
-    best = dict[tuple[str, str, str], tuple[float, Site, Scale, AttachedEffect]]()
-    for one in laws:
-        share, site, _, law = one
-        key = (site.kind, site.name, law.effect.id)
-        if share > max(best[key][0] if key in best else 0.0, 0.0):
-            best[key] = one
+    base = Base.of(problem, z)
+    rest = base.nuisance.remainder(base.residual, problem.priors.residual(z))
+    fold = folds_of_rows(problem, [len(one) for one in base.residual], len(rest))
+    best = dict[tuple[str, str, str], tuple[float, _Law]]()
+    for site, scale, law in _laws(problem, z):
+        if not _is_own(causes, site, law.effect):
+            share = _predicted(_columns(base, scale, law), rest, fold)
+            key = (site.kind, site.name, law.effect.id)
+            if share > max(best[key][0] if key in best else 0.0, 0.0):
+                best[key] = share, (site, scale, law)
     ordered = sorted(best.values(), key=lambda one: -one[0])[: criteria.STARTS_FOLLOWED]
-    least = criteria.ALONE_NEAR_BEST * ordered[0][0] if ordered else 0.0
-    return [(site, scale, law) for share, site, scale, law in ordered if share >= least]
+    return [law for share, law in ordered if share >= criteria.ALONE_NEAR_BEST * ordered[0][0]]
 
 
-_Alone = tuple[tuple[Site, Effect], Problem, FloatArray]
-
-
-def _alone(problem: Problem, z: FloatArray, site: Site, scale: Scale, law: AttachedEffect) -> _Alone:
-    """Return a law, its shape fitted, too, with the problem it is in, and the fit."""
-    law, sizes = _with_its_shape(law, scale)
-    alone = problem.with_effects([law], [scale])
-    return (site, law.effect), alone, refit(alone, np.insert(z, problem.size, sizes))
-
-
-def _squares(one: _Alone) -> float:
-    _, alone, end = one
-    return alone.squares(end)
+def _alone(problem: Problem, z: FloatArray, law: _Law) -> _Fit:
+    """Return a problem with a law, its shape fitted, too."""
+    _, scale, attached = law
+    freed, sizes = _with_its_shape(attached, scale)
+    with_law = problem.with_effects([freed], [scale])
+    return with_law, refit(with_law, np.insert(z, problem.size, sizes))
 
 
 def _with_its_shape(law: AttachedEffect, scale: Scale) -> tuple[AttachedEffect, list[float]]:

@@ -56,7 +56,7 @@ def better_than(data, cause):
     sizes = [one.starts[0] for one in attached.effect.parameters if not one.held]
     end = refit(problem, np.insert(found.z, found.problem.size, sizes))
     chance = NoiseThreshold(gain=20.0, dispersion=1.0)
-    return better_alone(problem, end, (found.problem, found.z), found.noise, chance, floor=0.1)
+    return better_alone((problem, end), (found.problem, found.z), found.noise, chance, floor=0.1)
 
 
 def test_a_mass_on_a_spring_explains_more_than_the_inertia_that_stood_in_for_it():
