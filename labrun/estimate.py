@@ -52,12 +52,12 @@ def rounded(estimate: Estimate) -> tuple[str, str, str]:
     largest = max(abs(estimate.value), abs(low), abs(high))
     digits = int(np.clip(np.floor(np.log10(largest)) - np.floor(np.log10(half)) + 2, 2, 9))
     if 1e-3 <= largest < 1e6:
-        decimals = max(int(digits - 1 - np.floor(np.log10(largest))), 0)
+        decimals = int(digits - 1 - np.floor(np.log10(largest)))
 
         def told(number: float) -> str:
-            text = f"{number:.{decimals}f}"
+            text = f"{round(number, decimals):.{max(decimals, 0)}f}"
             vanishes = float(text) == 0.0 and abs(number) >= _NOT_NOTHING * largest
-            return f"{number:.1g}" if vanishes else text
+            return significant(number, 1) if vanishes else text
 
         return told(estimate.value), told(low), told(high)
     return f"{estimate.value:.{digits - 1}e}", f"{low:.{digits - 1}e}", f"{high:.{digits - 1}e}"
