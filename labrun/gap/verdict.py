@@ -46,15 +46,14 @@ class VerdictBasis:
     def left_is_gap(self) -> bool:
         """Whether what is left is plainly no noise.
 
-        Its kind says so: its spectrum has lines, or motion and inputs predict it, where it is no smaller than the noise
-        of a sample or, with repeats, well above what these leave. Or its size: where repeats tell the noise, far above
-        what that leaves; without them, more than any sensor adds.
+        Its kind says so: its spectrum has lines, a law explains it that no library has, or motion and inputs predict
+        it, where it is no smaller than the noise of a sample or, with repeats, well above what these leave. Or its
+        size: where repeats tell the noise, far above what that leaves; without them, more than any sensor adds.
         """
         least = criteria.BEYOND_FLOOR * self.sizes.floor if self.noise_known else 1.0
         learned = self.beyond_scatter.learnable >= criteria.LEARNABLE and self.sizes.after >= least
-        if (
-            not self.effects + self.parameters and self.better_alone
-        ):  # its size is no smaller than chance tells it to be
+        if self.better_alone and not self.effects + self.parameters:
+            # chance does not follow a law: however near the floor it is, it is no noise
             return self.sizes.after >= criteria.SMALL_GAP_UNEXPLAINED
         return (self._is_seen and learned) or bool(self.why_no_noise)
 
@@ -230,11 +229,10 @@ def sentence(
     does, it = ("remove", "them") if several else ("removes", "it")
     told = f"; the nearest, {names}, {does}{removed or ' too little'} of it" if nearest else ""
     if better_alone:
-        told += (
-            f", but {better_alone} explains more without {it}"
-            if nearest
-            else f"; {better_alone} explains some of it"
+        more = (
+            f", but {better_alone} explains more without {it}" if nearest else f"; {better_alone} explains it"
         )
+        told += more
     outside = "" if noise_known else ", or acts from outside of what was recorded"
     return (
         f"The cause is not in the library{outside}: a gap of {recalibrated} times {unit} remains after "
