@@ -121,10 +121,15 @@ def may_help_nothing(found: VerdictBasis) -> bool:
 def stands_all_the_same(found: VerdictBasis, without: VerdictBasis) -> bool:
     """Tell whether causes that help nothing in some choice of conditions stand, by what is left with and without them.
 
-    They leave no gap of what plainly was one; or, where repeats tell the noise, they explain the whole of what is
-    beyond it, in no choice of conditions more than there is: a share of what may be nothing has no end.
+    They leave no gap of what plainly was one (without repeats, where a rest of any size may be noise, they remove more
+    than they leave, too); or, where repeats tell the noise, they explain the whole of what is beyond it, in no choice
+    of conditions more than there is: a share of what may be nothing has no end.
     """
-    if found.left_is_gap or found.shrinkage is None:
+    if (
+        found.left_is_gap
+        or found.shrinkage is None
+        or (not found.noise_known and found.shrinkage.value < 0.5)
+    ):
         return False
     whole = found.shrinkage.value >= criteria.WHOLE_SHARE and found.shrinkage.high <= 1.0
     return without.left_is_gap or (found.noise_known and without.remains and not found.remains and whole)

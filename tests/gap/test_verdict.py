@@ -114,6 +114,14 @@ def test_a_cause_that_leaves_nothing_of_a_gap_beyond_noise_stands_though_it_help
     assert not stands_all_the_same(replace(found, remains=True), without)
 
 
+@pytest.mark.parametrize(("removed", "stands"), [(0.42, False), (0.7, True)])
+def test_without_repeats_what_may_help_nothing_stands_only_if_it_removes_more_than_it_leaves(removed, stands):
+    found = findings(sizes=(54.0, 6.3, 4.8, 0.12), share=(removed, -0.4, 1.0), remains=True, repeated=False)
+    plain = nothing_found(sizes=(54.0, 6.3, 6.3, 0.12), repeated=False, learnable=0.5)
+    assert plain.left_is_gap and not found.left_is_gap
+    assert stands_all_the_same(found, plain) == stands
+
+
 def test_a_wrong_parameter_is_a_verdict_of_its_own():
     assert verdict(findings(effects=0, parameters=1)) == "parameter"
 
