@@ -34,7 +34,11 @@ class Learnable:
         if self.why_no_noise:
             but = f"and {self.why_no_noise}" if most else f"but {self.why_no_noise}: it is no noise"
             return f"Of what is left, {learned} could be learned, {but}"
-        rest = f", at most {100 - most} % is noise" if most else ": all of it may be noise"
+        rest = (
+            f", at most {100 - most} % is noise"
+            if most
+            else ": it is noise, or goes with what was not recorded"
+        )
         return f"Of what is left, {learned} could be learned{rest}"
 
 

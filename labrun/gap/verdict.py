@@ -234,10 +234,9 @@ def sentence(
     does, it = ("remove", "them") if several else ("removes", "it")
     told = f"; the nearest, {names}, {does}{removed or ' too little'} of it" if nearest else ""
     if better_alone:
-        more = (
+        told += (
             f", but {better_alone} explains more without {it}" if nearest else f"; {better_alone} explains it"
         )
-        told += more
     outside = "" if noise_known else ", or acts from outside of what was recorded"
     return (
         f"The cause is not in the library{outside}: a gap of {recalibrated} times {unit} remains after "

@@ -115,7 +115,7 @@ def _which(diagnosis: Diagnosis, room: int, most: int) -> list[str]:
         told = f"{cause.name.words}, confidence {percent(cause.confidence)}"
         told += f", or {listed(same, 'or')}" if same else ""
         values = "; ".join(value_words(cause.values))
-        lines += _fitted([f"{told}: {values}" if values else told], room, 2)
+        lines += _fitted([f"{told}: {values} (95 %)" if values else told], room, 3)
     rivals = [one for one in ranked(diagnosis.candidates) if one.verdict != "cause"]
     lines = lines if len(lines) <= most - 1 else [*lines[: most - 2], _cut(f"{lines[most - 2]} \u2026", room)]
     named = min(_RIVALS, most - 1 - len(lines))
@@ -164,7 +164,11 @@ def _fitted(sentences: Sequence[str], room: int, lines: int) -> list[str]:
 
 
 def _cut(line: str, room: int) -> str:
-    return line if len(line) <= room else f"{line[: room - 1].rstrip(_CUT)}{_CUT[1]}"
+    """Return a line that is no longer than there is room, cut behind a word and said to be."""
+    if len(line) <= room:
+        return line
+    words = line[: room - 1].rpartition(" ")[0] or line[: room - 2]
+    return f"{words.rstrip(_CUT)}{_CUT}"
 
 
 def fresh_text(found: FreshTest) -> str:
