@@ -16,6 +16,7 @@ Need = Literal["load", "stiffness", "drive"]
 
 Quantity = Literal[
     "force",
+    "load",
     "coordinate",
     "rate",
     "damping",
@@ -46,7 +47,8 @@ class Scale:
     The default 1 everywhere leaves an effect's numbers as they stand. `inertia` is what moves already: a free axis
     goes far in a long trial by a force that would hardly accelerate it. It also comes round slowly, however fast it is
     shaken: `acceleration_time_s` is the period in which accelerations come and go (0: as `time_s`). `travel` is half
-    the way from end to end (0: as far as the peak excursion).
+    the way from end to end (0: as far as the peak excursion). `load` is the peak of what the site carries, or of what
+    its drive asks for: a heavy axis takes more of it than what would keep it at its speed.
     """
 
     coordinate: float = 1.0
@@ -58,11 +60,13 @@ class Scale:
     inertia: float = 0.0
     travel: float = 0.0
     acceleration_time_s: float = 0.0
+    load: float = 0.0
 
     def of(self, quantity: Quantity) -> float:
         """Return the typical magnitude of a quantity, SI."""
         return {
             "force": self.force,
+            "load": max(self.force, self.load),
             "coordinate": self.coordinate,
             "rate": self.rate,
             "damping": self.force / self.rate,
@@ -96,6 +100,7 @@ def unit_of(quantity: Quantity, coordinate_unit: str = "rad", signal_unit: str =
         "time-per-coordinate": f"s/{c}",
         "per-coordinate": f"1/{c}",
         "force": force,
+        "load": force,
         "damping": f"{force} s/{c}",
         "drag": f"{force} s^2/{c}^2",
         "stiffness": f"{force}/{c}",

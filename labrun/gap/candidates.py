@@ -122,6 +122,7 @@ def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> 
         inertia=_inertia(problem, z, place, still, force),
         travel=float(np.ptp(np.clip(every[:, 0], *np.percentile(every[:, 0], _ENDS)))) / 2.0,
         acceleration_time_s=min(2.0 * np.pi * rate / acceleration, longest_s) if acceleration > 0 else 0.0,
+        load=_peak(every[:, 2]),
     )
 
 

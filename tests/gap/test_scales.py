@@ -93,6 +93,15 @@ def test_a_free_axis_comes_round_slowly_and_is_accelerated_as_fast_as_it_is_shak
     assert 0.1 < scale.of("acceleration-time") < 0.8
 
 
+def test_a_free_axis_takes_more_torque_than_what_would_keep_it_at_its_speed():
+    model = parse_model(FREE_AXIS, "axis.toml")
+    problem = stated_problem(model, averaged(shaken(), model))
+    scale = site_scales(problem, problem.priors.stated)["joint", "motor"]
+    asked = max(float(np.percentile(np.abs(one.inputs), 99.0)) for one in shaken().trials)
+    assert scale.of("load") == pytest.approx(asked, rel=0.01)
+    assert scale.of("load") > 2.0 * scale.of("force")
+
+
 def test_a_transmission_that_gives_way_is_found_in_an_axis_that_goes_far():
     found = diagnose_dataset(shaken(), parse_model(FREE_AXIS, "axis.toml"), Options(places=False))
     (cause,) = found.causes
