@@ -55,7 +55,7 @@ def rounded(estimate: Estimate) -> tuple[str, str, str]:
         decimals = int(digits - 1 - np.floor(np.log10(largest)))
 
         def told(number: float) -> str:
-            text = f"{round(number, decimals):.{max(decimals, 0)}f}"
+            text = f"{round(number, decimals) + 0.0:.{max(decimals, 0)}f}"  # no -0
             vanishes = float(text) == 0.0 and abs(number) >= _NOT_NOTHING * largest
             return significant(number, 1) if vanishes else text
 

@@ -299,14 +299,17 @@ def _basis(search: Search, chosen: Sequence[Chosen], floor: float, rng: np.rando
 
 
 def _law_instead(search: Search, chosen: Sequence[Chosen], floor: float) -> str:
-    """Return the law that explains more without the causes; without those of none, than the best candidate does.
+    """Return the law that explains more without the causes than they do; where there are none, than any candidate does.
 
-    It is not asked for where motion follows what was measured, noise and all.
+    It is not asked for beside parameters, whose form is the model's own, where motion follows what was measured, noise
+    and all, in the many joints of a robot, and where a gap without causes is too small to be told.
     """
     selection, bare = search.selection, search.recalibration
     followed = any(one.followed for one in search.model.outputs)
     of_parameters = any(one.name.kind == "parameter" for one in chosen)
     if not search.candidates or followed or selection.final.brisk or of_parameters:
+        return ""
+    if not chosen and search.recalibrated.gap < criteria.SMALL_GAP_UNEXPLAINED:
         return ""
     at, beside = selection.rounds[-1 if chosen else 0], (selection.final.problem, selection.final.z)
     if not chosen:  # what promised too little was not fitted

@@ -43,7 +43,7 @@ _SIGNALS = (
 _SAID = {"t": "time", "q": "position"}
 _HELPERS = {"x": "q/c", "u": "rate/v", "S": "tanh(50*rate/v)", "y": "signal/s"}
 _SCALES = {"c": "coordinate", "v": "rate", "s": "signal", "T": "time"}
-_SLOW = frozenset({"t", "signal"})
+_STEADY = ("bias", "constant-force", "drift", "rest-offset")
 _RIDER = """
 [rider]
 title = "A mass on a spring that rides on the joint."
@@ -92,17 +92,20 @@ def better_alone(
         What the data cannot tell from the causes: a law of no other arguments is none there, either.
     """
     problem, z = causes
+    if problem.finite_residuals(z) is None:
+        return ""
     bare = bare[0].with_noise(problem.noise).in_steps_of(problem), bare[1]
     units = _where_most_is_left(*bare)
     part = _part(*bare, units)
-    own = (*problem.effects, *rivals)
-    fits = [(law, _alone(*part, law)) for law in _likeliest(*part, own)]
+    likely = _likeliest(*part, (*problem.effects, *rivals))
+    fits = [(law, alone) for law in likely if (alone := _alone(*part, law)) is not None]
     if not fits:
         return ""
     law, alone = min(fits, key=lambda one: one[1][0].squares(one[1][1]))
     better = _explains_more(_part(problem, z, units), part, alone, noise, threshold, floor)
     if better and len(units) < len(problem.data.trials):
-        better = _explains_more(causes, bare, _alone(*bare, law), noise, threshold, floor)
+        on_all = _alone(*bare, law, alone[1][part[0].size : alone[0].size])
+        better = on_all is not None and _explains_more(causes, bare, on_all, noise, threshold, floor)
     site, _, attached = law
     return f"{_words(attached.effect)} at {site.name}" if better else ""
 
@@ -115,13 +118,11 @@ def _explains_more(
     gain = problem.squares(z) - with_law.squares(end)
     variables = sum(not one.held for effect in problem.effects for one in effect.effect.parameters)
     price = criteria.VARIABLE_PRICE * max(with_law.size - without.size - variables, 0)
+    if threshold.evidence(gain) <= 1.0 or threshold.log_likelihood(gain) <= price:
+        return False
     whole, left, less = (fitted_excess(*one, noise).total for one in (bare, causes, alone))
-    return bool(
-        threshold.evidence(gain) > 1.0
-        and threshold.log_likelihood(gain) > price
-        and left - less >= criteria.ALONE_EXPLAINS * abs(left)  # what is left may be less than noise leaves
-        and less <= max(criteria.ALONE_LEAVES * whole, floor**2)
-    )
+    more = left - less >= criteria.ALONE_EXPLAINS * abs(left)  # what is left may be less than noise leaves
+    return bool(more and less <= max(criteria.ALONE_LEAVES * whole, floor**2))
 
 
 def _where_most_is_left(problem: Problem, z: FloatArray) -> list[int]:
@@ -154,12 +155,16 @@ def _likeliest(problem: Problem, z: FloatArray, causes: Sequence[AttachedEffect]
     return [law for share, law in ordered if share >= criteria.ALONE_NEAR_BEST * ordered[0][0]]
 
 
-def _alone(problem: Problem, z: FloatArray, law: _Law) -> _Fit:
-    """Return a problem with a law, its shape fitted, too."""
+def _alone(problem: Problem, z: FloatArray, law: _Law, begin: FloatArray | None = None) -> _Fit | None:
+    """Return a problem with a law, its shape fitted, too; None where that does not simulate."""
     _, scale, attached = law
     freed, sizes = _with_its_shape(attached, scale)
     with_law = problem.with_effects([freed], [scale])
-    return with_law, refit(with_law, np.insert(z, problem.size, sizes))
+    start = np.insert(z, problem.size, sizes if begin is None else begin)
+    if with_law.finite_residuals(start) is None:
+        return None
+    end = refit(with_law, start)
+    return None if with_law.finite_residuals(end) is None else (with_law, end)
 
 
 def _with_its_shape(law: AttachedEffect, scale: Scale) -> tuple[AttachedEffect, list[float]]:
@@ -171,7 +176,8 @@ def _with_its_shape(law: AttachedEffect, scale: Scale) -> tuple[AttachedEffect, 
 
 
 def _words(law: Effect) -> str:
-    of = " and ".join(_SAID.get(one, one) for one in sorted(law.arguments))
+    *first, last = [_SAID.get(one, one) for one in sorted(law.arguments)]
+    of = f"{', '.join(first)} and {last}" if first else last
     return "a mass on a spring that rides" if law.states else f"a law of {of}"
 
 
@@ -265,16 +271,18 @@ def _predicted(columns: FloatArray, rest: FloatArray, fold: NDArray[np.intp]) ->
 def _is_own(causes: Sequence[AttachedEffect], site: Site, law: Effect) -> bool:
     """Tell whether a law has no other arguments than a cause at its site; those in Python may have any.
 
-    What hardly changes but with time looks the same at many sites: beside a bias that settles, a law of time is no
-    other law wherever it is.
+    What is constant or drifts looks the same at many sites: beside it a law of nothing but time is no other law,
+    wherever it is.
     """
-    slow = "t" in law.arguments and law.arguments <= _SLOW
+    of_time = law.id.endswith("-0")
     return any(
-        (slow and one.effect.arguments <= _SLOW)
-        or (
-            one.site == site.name
-            and one.effect.kind == site.kind
-            and (not one.effect.arguments or (law.arguments <= one.effect.arguments and not law.states))
-        )
+        (of_time and one.effect.id in _STEADY)
+        or (one.site == site.name and _same_arguments(one.effect, law, site))
         for one in causes
     )
+
+
+def _same_arguments(cause: Effect, law: Effect, site: Site) -> bool:
+    any_argument = not cause.arguments and cause.kind in ("input", "output")
+    same = any_argument or (law.arguments <= cause.arguments and not law.states)
+    return cause.kind == site.kind and same

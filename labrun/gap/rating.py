@@ -250,7 +250,8 @@ def rivals_of(
         for one in rated
         if one.evidence > criteria.RIVAL_EVIDENCE and one.share >= best.share - criteria.RIVAL_SHARE
     ]
-    near = [one for one in near if not any(_earns_nothing(one, other) for other in (best, *near))]
+    simple = [best] if relative else [best, *near]
+    near = [one for one in near if not any(_earns_nothing(one, other) for other in simple)]
     if best not in near:
         near.append(best)
     if relative:  # of two forms that both leave much, the richer one says no more than the simpler one

@@ -1,7 +1,7 @@
 """The verdict: no gap, explained by parameters, by causes, in part, or not by anything in the library; in words."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from labrun.estimate import significant
 from labrun.gap import criteria
@@ -52,14 +52,13 @@ class VerdictBasis:
         """
         least = criteria.BEYOND_FLOOR * self.sizes.floor if self.noise_known else 1.0
         learned = self.beyond_scatter.learnable >= criteria.LEARNABLE and self.sizes.after >= least
-        if self.better_alone and not self.effects + self.parameters:
-            # chance does not follow a law: however near the floor it is, it is no noise
-            return self.sizes.after >= criteria.SMALL_GAP_UNEXPLAINED
         return (self._is_seen and learned) or bool(self.why_no_noise)
 
     @property
     def why_no_noise(self) -> str:
         """Why even what motion and inputs do not predict is plainly no noise, in words; "" where it may be noise."""
+        if self.better_alone and not self.effects + self.parameters:  # however near the floor it is
+            return "a law explains it" if self.sizes.after >= criteria.SMALL_GAP_UNEXPLAINED else ""
         if not self._is_seen:
             return ""
         if self._has_lines:
@@ -132,14 +131,16 @@ def stands_all_the_same(found: VerdictBasis, without: VerdictBasis) -> bool:
     ):
         return False
     whole = found.shrinkage.value >= criteria.WHOLE_SHARE and found.shrinkage.high <= 1.0
-    return without.left_is_gap or (found.noise_known and without.remains and not found.remains and whole)
+    plainly = replace(without, better_alone="").left_is_gap
+    return plainly or (found.noise_known and without.remains and not found.remains and whole)
 
 
 def verdict(found: VerdictBasis) -> Verdict:
     """Return the verdict.
 
-    Causes that leave a plain gap are impostors if they do not explain nearly all of what the model left without them;
-    without repeats, where what they leave may be noise, if no resample of the conditions has them do so.
+    Causes are impostors if another law explains more without them, or if they leave a plain gap and do not explain
+    nearly all of what the model left without them; without repeats, where what they leave may be noise, if no resample
+    of the conditions has them do so.
     """
     if found.effects + found.parameters == 0:
         if found.left_is_gap:
@@ -233,9 +234,9 @@ def sentence(
     names, several = " and ".join(one.words for one in nearest), len(nearest) > 1
     does, it = ("remove", "them") if several else ("removes", "it")
     told = f"; the nearest, {names}, {does}{removed or ' too little'} of it" if nearest else ""
-    if better_alone:
+    if better_alone:  # than causes do, or than anything that was tried
         told += (
-            f", but {better_alone} explains more without {it}" if nearest else f"; {better_alone} explains it"
+            f", but {better_alone} explains more without {it}" if removed else f"; {better_alone} explains it"
         )
     outside = "" if noise_known else ", or acts from outside of what was recorded"
     return (

@@ -109,13 +109,16 @@ def _where(diagnosis: Diagnosis) -> list[str]:
 
 def _which(diagnosis: Diagnosis, room: int, most: int) -> list[str]:
     """Return the causes, the rivals next to them as far as there is room, and how many there are besides."""
-    lines: list[str] = []
+    told = []
     for cause in diagnosis.causes:
         same = [name.words for name in cause.indistinguishable_from]
-        told = f"{cause.name.words}, confidence {percent(cause.confidence)}"
-        told += f", or {listed(same, 'or')}" if same else ""
+        text = f"{cause.name.words}, confidence {percent(cause.confidence)}"
+        text += f", or {listed(same, 'or')}" if same else ""
         values = "; ".join(value_words(cause.values))
-        lines += _fitted([f"{told}: {values} (95 %)" if values else told], room, 3)
+        told.append(f"{text}: {values} (95 % intervals)" if values else text)
+    lines = [line for text in told for line in _fitted([text], room, 3)]
+    if len(lines) > most - 1:
+        lines = [line for text in told for line in _fitted([text], room, 2)]
     rivals = [one for one in ranked(diagnosis.candidates) if one.verdict != "cause"]
     lines = lines if len(lines) <= most - 1 else [*lines[: most - 2], _cut(f"{lines[most - 2]} \u2026", room)]
     named = min(_RIVALS, most - 1 - len(lines))
@@ -168,7 +171,7 @@ def _cut(line: str, room: int) -> str:
     if len(line) <= room:
         return line
     words = line[: room - 1].rpartition(" ")[0] or line[: room - 2]
-    return f"{words.rstrip(_CUT)}{_CUT}"
+    return f"{words.rstrip(f'{_CUT},;')}{_CUT}"
 
 
 def fresh_text(found: FreshTest) -> str:
