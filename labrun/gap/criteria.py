@@ -328,9 +328,10 @@ like them 0.91 and above, of five impostors (511 and 512) 0.59 to 0.79. No more 
 but for its form removes 0.80 to 0.97 of what the real machines show."""
 ALONE_EXPLAINS, ALONE_LEAVES, ALONE_NEAR_BEST = 0.5, 0.05, 0.5
 """Of what causes leave, the part that another law has to explain without them, for them to be stand-ins; of the gap,
-the most that it may leave; of what the likeliest law predicts, the part from which others are fitted, too. Beside seven
-stand-ins (743 and 18603: drag and damping for flutter, damping for one that warms, an inertia for a second mode, an end
-stop for a bent linkage) a law left at most 0.27 of what they do. Beside none of the causes of 152 cases in the library
+the most that it may leave, if that is more than noise leaves; of what the likeliest law predicts, the part from which
+others are fitted, too. Beside seven stand-ins (743 and 18603: three times drag or damping for flutter, damping and a
+delay for a damper that warms, an inertia for a second mode, an end stop for a bent linkage) a law left at most 0.27 of
+what they do. Beside none of the causes of 152 cases in the library
 (18501, 18601 and 18602) does one count, since laws of time are none beside a bias that settles and a drift that tires.
 On eight recordings of machines the best law leaves 1.3 times as much as what is announced. A law of position and rate
 left 0.23 of what friction does beside a cubic spring that nobody looked for, and 0.08 of the gap."""
