@@ -331,10 +331,10 @@ ALONE_EXPLAINS, ALONE_LEAVES, ALONE_NEAR_BEST = 0.5, 0.05, 0.5
 the most that it may leave, if that is more than noise leaves; of what the likeliest law predicts, the part from which
 others are fitted, too. Beside seven stand-ins (743 and 18603: three times drag or damping for flutter, damping and a
 delay for a damper that warms, an inertia for a second mode, an end stop for a bent linkage) a law left at most 0.27 of
-what they do. Beside none of the causes of 152 cases in the library
-(18501, 18601 and 18602) does one count, since laws of time are none beside a bias that settles and a drift that tires.
-On eight recordings of machines the best law leaves 1.3 times as much as what is announced. A law of position and rate
-left 0.23 of what friction does beside a cubic spring that nobody looked for, and 0.08 of the gap."""
+what they do. Beside none of the causes of 152 cases in the library (18501, 18601 and 18602) does one count, since laws
+of time are none beside a bias that settles and a drift that tires. On eight recordings of machines the best law leaves
+1.3 times as much as what is announced. A law of position and rate left 0.23 of what friction does beside a cubic spring
+that nobody looked for, and 0.08 of the gap."""
 RIDERS, RIDERS_TRIED = (1.0, 10.0), 32
 """Natural frequencies of a mass on a spring that rides on a joint, in units of the motion's, and how many are tried:
 8 % apart. With half as many a fit from the nearest one ended beside the truth (18473, 0022)."""

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from labrun.effects import load_effect
+from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import site_scales
 from labrun.gap.noise_threshold import NoiseThreshold
@@ -46,12 +47,12 @@ def with_a_rider(data):
     return replace(data, trials=tuple(trials))
 
 
-def better_than(data, cause):
-    """Return which law explains a recording better than a cause at the hinge, once both are fitted to it."""
+def better_than(data, cause, kind="joint", site="hinge"):
+    """Return which law explains a recording better than a cause, once both are fitted to it."""
     model = pendulum()
     found = recalibrate(model, averaged(data, model), np.random.default_rng(0), lambda _: None)
-    scale = site_scales(found.problem, found.z)["joint", "hinge"]
-    attached = load_effect(cause, "joint").attach("hinge", scale)
+    scale = site_scales(found.problem, found.z)[kind, site]
+    attached = load_effect(cause, kind).attach(site, scale)
     problem = found.problem.with_effects([attached], [scale])
     sizes = [one.starts[0] for one in attached.effect.parameters if not one.held]
     end = refit(problem, np.insert(found.z, found.problem.size, sizes))
@@ -72,11 +73,10 @@ def test_a_damper_that_warms_explains_more_than_the_damping_that_stood_in_for_it
 @pytest.mark.parametrize(
     "beside",
     [
-        lambda t, q, v: -0.01 * q**3,
-        lambda t, q, v: 1e-3 * t**2,
-        lambda t, q, v: -2e-4 * t * v,
+        pytest.param(lambda t, q, v: -0.01 * q**3, id="a law of position"),
+        pytest.param(lambda t, q, v: 1e-3 * t**2, id="a force of time", marks=pytest.mark.slow),
+        pytest.param(lambda t, q, v: -2e-4 * t * v, id="a damper that changes", marks=pytest.mark.slow),
     ],
-    ids=["a law of position", "a force of time", "a damper that changes"],
 )
 def test_no_law_explains_as_much_as_a_right_cause_whatever_explains_what_it_leaves(beside):
     friction = 5e-3
@@ -91,3 +91,21 @@ def test_where_the_rest_is_a_law_of_the_causes_own_arguments_its_form_is_another
 
 def test_no_law_is_better_than_a_cause_by_what_chance_may_explain():
     assert better_than(recorded(noise=1e-3), "viscous-damping") == ""
+
+
+def test_beside_a_bias_that_settles_a_law_of_time_is_no_other_law():
+    data = recorded(noise=1e-3)
+    settling = [
+        replace(one, outputs=one.outputs + 0.05 * (1.0 - 0.2 * (1.0 - np.exp(-one.time_s / 2.0)))[:, None])
+        for one in data.trials
+    ]
+    assert better_than(replace(data, trials=tuple(settling)), "bias", "output", "angle") == ""
+
+
+def test_a_law_that_is_seen_in_the_conditions_that_leave_most_is_asked_of_all():
+    conditions = [(amplitude, frequency) for amplitude in (0.02, 0.03, 0.04) for frequency in (0.4, 0.6, 0.8)]
+    assert len(conditions) > criteria.MOST_CONDITIONS
+    data = recorded(
+        lambda t, q, v: -2e-3 * v * (1.0 - np.exp(-t / 3.0)), noise=1e-3, repeats=2, conditions=conditions
+    )
+    assert better_than(data, "viscous-damping") == "a law of rate and time at hinge"
