@@ -110,8 +110,8 @@ def check(
         Kind of all cases ("control", "effect", "pair", "parameter" or "outside", an s behind it or not); the
         generator's mixture of kinds if None. No job that diagnoses is told.
     data
-        What all recordings are to be like: ``repeats=N``, ``noise=COLOUR``, ``zeros`` or ``no-zeros``; drawn if not
-        given.
+        What all recordings are to be like: ``repeats=N``, ``conditions=N``, ``noise=COLOUR``, ``zeros`` or
+        ``no-zeros``; drawn if not given.
     workers
         Processes; one per core if None. Results do not depend on it.
     cluster

@@ -20,6 +20,8 @@ three or more, only behind another cause, not among the causes, called unknown, 
 were named. Of none: quiet, an effect was blamed, or something unknown was. Outside of the library: recognised, a cause
 was blamed, or nothing was said."""
 LARGEST_SET = 2
+MANY_TRIALS = 50
+"""No more are drawn: ten conditions, five times each."""
 GOOD: tuple[Outcome, ...] = ("named", "both-named", "quiet", "recognised")
 
 
@@ -99,6 +101,8 @@ class Truth:
         What was simulated, in words.
     noise, zeros
         Colour of the noise, and whether each trial has a zero of its own.
+    conditions
+        How many were recorded, each `repeats` times.
     sizes : per cause, parameter -> value
         Of the form that was simulated.
     """
@@ -114,6 +118,7 @@ class Truth:
     noise: str = ""
     zeros: bool = False
     sizes: tuple[Sizes, ...] = ()
+    conditions: int = 0
 
     @property
     def data(self) -> tuple[str, ...]:
@@ -123,6 +128,7 @@ class Truth:
             repeats,
             *((f"{self.noise} noise",) if self.noise else ()),
             *(("zeros by trial",) if self.zeros else ()),
+            *(("many trials",) if self.conditions * self.repeats > MANY_TRIALS else ()),
         )
 
     @property
@@ -149,6 +155,7 @@ class Truth:
             str(answer.get("noise", {}).get("colour", "")),
             bool(answer.get("noise", {}).get("zero_by_trial", 0.0)),
             tuple(one.get("values", {}) for one in hidden) or tuple(released),
+            int(answer.get("conditions", 0)),
         )
 
 

@@ -25,8 +25,8 @@ def check(
         list[str] | None,
         typer.Option(
             metavar="KEY=VALUE",
-            help="What all recordings are like, not drawn: repeats=N, noise=white (ar1, counts, pink), zeros, "
-            "no-zeros; repeatable.",
+            help="What all recordings are like, not drawn: repeats=N, conditions=N, noise=white (ar1, counts, "
+            "pink), zeros, no-zeros; repeatable.",
         ),
     ] = None,
     workers: options.Workers = None,

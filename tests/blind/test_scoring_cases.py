@@ -43,6 +43,15 @@ def test_a_cause_that_is_named_alone_or_with_one_rival_is_named() -> None:
     assert outcome(true, said("partly-explained", named(COULOMB, STRIBECK))) == "named"
 
 
+def test_more_trials_than_are_drawn_are_a_kind_of_data_of_their_own() -> None:
+    few, many = (
+        Truth("case-0001", "control", (), 0.0, "hinge-drive", 2, 1, (), conditions=conditions)
+        for conditions in (25, 26)
+    )
+    assert few.data == ("2 repeats",)
+    assert many.data == ("2 repeats", "many trials")
+
+
 def test_a_set_of_three_names_nothing() -> None:
     true = truth("effect", COULOMB)
     assert outcome(true, said("explained", named(COULOMB, STRIBECK, HYSTERESIS))) == "set-too-large"

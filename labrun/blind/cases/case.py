@@ -84,6 +84,7 @@ class Asked:
     repeats: int | None = None
     noise: Colour | None = None
     zeros: bool | None = None
+    conditions: int | None = None
 
 
 def make_case(seed: int, index: int, folder: Path, asked: Asked | None = None) -> str:
@@ -123,6 +124,7 @@ def _zero(rng: np.random.Generator, wanted: bool | None) -> float:
 def _draw(kind: str, chosen: Chosen, rng: np.random.Generator, asked: Asked, zero: float) -> Case:
     plant = chosen.plant
     conditions = int(rng.integers(4, 11))
+    conditions = asked.conditions or conditions
     both = plant.programme(rng, conditions + FRESH_CONDITIONS)
     order = rng.permutation(conditions + FRESH_CONDITIONS)
     recorded, fresh = both.take(sorted(order[:conditions])), both.take(sorted(order[conditions:]))

@@ -30,6 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--repeats", type=int, metavar="N", help="repeats of every condition, not those drawn"
     )
+    parser.add_argument("--conditions", type=int, metavar="N", help="how many, not those drawn (4 to 10)")
     parser.add_argument("--noise", choices=tuple(COLOURS), help="the colour of all noise, not one drawn")
     parser.add_argument(
         "--zeros",
@@ -49,8 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _verify(given.verify)
     if given.out is None:
         parser.error("--out DIR is needed (or --verify DIR)")
-    if given.repeats is not None and given.repeats < 1:
-        parser.error("--repeats is 1 or more")
+    if any(one is not None and one < 1 for one in (given.repeats, given.conditions)):
+        parser.error("--repeats and --conditions are 1 or more")
     if given.cases < 1 or given.first < 1 or given.workers < 1 or given.seed < 0:
         parser.error("--cases, --first and --workers are 1 or more, --seed is 0 or more")
     if given.out.exists() and any(given.out.iterdir()):
@@ -64,7 +65,7 @@ def _make(folder: Path, seed: int, indices: range, given: argparse.Namespace) ->
     shutil.rmtree(making, ignore_errors=True)
     making.mkdir(parents=True)
     try:
-        asked = Asked(given.only, given.repeats, given.noise, given.zeros)
+        asked = Asked(given.only, given.repeats, given.noise, given.zeros, given.conditions)
         make = (
             partial(make_robot, seed, folder=making)
             if given.only == ROBOTS

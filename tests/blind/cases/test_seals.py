@@ -46,6 +46,19 @@ def test_same_seed_same_bytes_whatever_the_workers_and_the_first_case(made: Made
     assert again == {name: bytes_ for name, bytes_ in contents(folder).items() if "case-0001" not in name}
 
 
+def test_a_case_has_as_many_conditions_and_repeats_as_are_asked_for(
+    run_generator: Generate, tmp_path: Path
+) -> None:
+    done = run_generator(
+        "--cases", "1", "--only", "control", "--conditions", "12", "--repeats", "2", "--out", str(tmp_path / "made")
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "made" / "cases" / "case-0001").glob("trial*.csv"))) == 24
+    answer = json.loads((tmp_path / "made" / "sealed" / "case-0001.json").read_text())
+    assert (answer["conditions"], answer["repeats"]) == (12, 2)
+    assert run_generator("--conditions", "0", "--out", str(tmp_path / "none")).returncode == 2
+
+
 def test_one_kind_alone_is_made_of_cases_that_the_mixture_of_the_same_seed_does_not_have(
     made: Made, run_generator: Generate, tmp_path: Path
 ) -> None:
