@@ -118,6 +118,7 @@ def test_other_conditions_may_be_sampled_at_another_rate() -> None:
     assert with_sound_clocks(dataset(trial(even()), trial(2 * even(), condition=2.0))).limitations == ()
 
 
+@pytest.mark.slow
 def test_a_jump_does_not_make_the_diagnosis_rule_out_what_is_there() -> None:
     data = recorded(dry_friction(0.006), conditions=CONDITIONS[:3])
     times = data.trials[3].time_s.copy()

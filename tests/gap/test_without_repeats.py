@@ -189,6 +189,7 @@ def test_what_no_model_predicts_is_not_called_a_gap() -> None:
     assert found.gap.recalibrated <= found.gap.raw
 
 
+@pytest.mark.slow
 def test_a_law_that_the_library_lacks_is_no_noise_even_without_repeats() -> None:
     oiled_in_places = diagnose_dataset(
         recorded(lambda t, q, v: -0.006 * v * (1.0 + float(np.cos(5.0 * q))), repeats=1), pendulum(), QUICK

@@ -153,6 +153,7 @@ def six_bar_mjcf(model):
     )
 
 
+@pytest.mark.slow
 def test_the_six_bar_swings_as_in_mujoco_with_connects(six_bar):
     mujoco = pytest.importorskip("mujoco")
     native = mujoco.MjModel.from_xml_string(six_bar_mjcf(six_bar))

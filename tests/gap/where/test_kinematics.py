@@ -17,6 +17,7 @@ def test_the_equation_of_an_angle_holds_by_definition_and_that_of_its_rate_does_
     assert [difference.model.states[state] for state in defined(difference)] == ["angle"]
 
 
+@pytest.mark.slow
 def test_the_angle_is_not_asked_which_force_it_lacks(difference):
     places = find_places(difference, np.random.default_rng(0), draws=19)
     assert {one.at for one in places if one.by == "equation"} == {

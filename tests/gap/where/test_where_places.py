@@ -72,6 +72,7 @@ def test_a_spring_that_hardens_shows_at_the_ends_of_the_travel():
     assert ends == by(places, "state")[0]
 
 
+@pytest.mark.slow
 def test_a_bias_of_an_output_is_placed_in_its_channel_below_the_drive_and_in_no_equation():
     places = places_of(made(np.random.default_rng(4), disturb=lambda _, y: y + np.array([0.02, 0.0])))
     assert share_of(places, "channel", "angle").share == pytest.approx(1.0, abs=0.05)
