@@ -148,10 +148,11 @@ def conclude(
     problem, noise, z = search.recalibration.problem, search.noise, search.recalibration.z
     selection, final = search.selection, search.selection.final
     floor = floor_of(search.data, noise, rng)
-    findings = _basis(search, selection.chosen, floor, rng)
+    law = _law_instead(search, selection.chosen, floor)
+    findings = _basis(search, selection.chosen, floor, rng, law)
     unproven = may_help_nothing(findings)
     if unproven:
-        without = _basis(search, (), floor, rng)
+        without = _basis(search, (), floor, rng, _law_instead(search, (), floor))
         unproven = not stands_all_the_same(findings, without)
     unannounced = _unannounced(selection.chosen, findings) if unproven else ()
     findings = without if unproven else findings
@@ -167,7 +168,7 @@ def conclude(
         note("asking what any model could learn of what is left")
         # what unannounced causes leave is not what the bare model leaves, of which it is asked then
         bare = selection.chosen and not causes and not unproven
-        left = _basis(search, (), floor, rng) if bare else findings
+        left = _basis(search, (), floor, rng, law) if bare else findings
         at = (final.problem, final.z) if causes else (problem, z)
         learnable = replace(_learnable(*at), why_no_noise=left.why_no_noise)
     effects = final.problem.attached(final.problem.parameters(final.z))
@@ -269,8 +270,10 @@ def _enough_repeats(search: Search) -> bool:
     return search.noise.freedom >= criteria.ENOUGH_FREEDOM and most >= criteria.OWN_FLOOR_REPEATS
 
 
-def _basis(search: Search, chosen: Sequence[Chosen], floor: float, rng: np.random.Generator) -> VerdictBasis:
-    """Return what a verdict is made from: with the causes that were chosen, or without any."""
+def _basis(
+    search: Search, chosen: Sequence[Chosen], floor: float, rng: np.random.Generator, law: str
+) -> VerdictBasis:
+    """Return what a verdict is made from: with the causes that were chosen, or without any; `law` explains more."""
     noise, end = search.noise, search.selection.final if chosen else search.recalibration
     if chosen:
         # where recalibration predicts worse than what is stated, nobody would recalibrate
@@ -293,7 +296,7 @@ def _basis(search: Search, chosen: Sequence[Chosen], floor: float, rng: np.rando
         beyond_scatter(end.problem, end.z, noise) if remains else BeyondScatter(),
         len(search.dataset.trials),
         1.0 - left.total / whole if whole > 0.0 else 1.0,
-        _law_instead(search, chosen, floor),
+        law,
     )
     return basis if shrunk is None else replace(basis, shrinkage=replace(shrunk, high=basis.most_removed))
 

@@ -24,25 +24,26 @@ from labrun.gap.noise_threshold import NoiseThreshold
 from labrun.gap.rest_law import folds_of_rows
 from labrun.gap.screening import Base, refit
 
-_FORCES = (
-    ("1", "(t/T)", "(t/T)^2", "(t/T)^3", "exp(-5*t/T)"),
-    ("x", "x^2", "x^3", "x^5", "abs(x)", "x*abs(x)"),
-    ("u", "u^2", "u^3", "abs(u)", "u*abs(u)", "S"),
-    ("x*u", "x^2*u", "x*u^2", "abs(x)*u", "x*S", "abs(x)*S", "x^2*S"),
-    ("load*S", "abs(load)*S", "load*u", "abs(load)*u", "load", "abs(load)"),
-    ("(t/T)*x", "(t/T)^2*x", "exp(-5*t/T)*x"),
-    ("(t/T)*u", "(t/T)^2*u", "exp(-5*t/T)*u", "(t/T)*S"),
-    ("acceleration", "x*acceleration", "x^2*acceleration", "(t/T)*acceleration"),
-)
-_SIGNALS = (
-    ("1", "(t/T)", "(t/T)^2", "(t/T)^3", "exp(-5*t/T)"),
-    ("y", "y^2", "y^3", "y^5", "abs(y)", "y*abs(y)"),
-    ("(t/T)*y", "(t/T)^2*y", "exp(-5*t/T)*y"),
-)
+_FORCES = {
+    "time": ("1", "(t/T)", "(t/T)^2", "(t/T)^3", "exp(-5*t/T)"),
+    "position": ("x", "x^2", "x^3", "x^5", "abs(x)", "x*abs(x)"),
+    "rate": ("u", "u^2", "u^3", "abs(u)", "u*abs(u)", "S"),
+    "position-and-rate": ("x*u", "x^2*u", "x*u^2", "abs(x)*u", "x*S", "abs(x)*S", "x^2*S"),
+    "load-and-rate": ("load*S", "abs(load)*S", "load*u", "abs(load)*u", "load", "abs(load)"),
+    "position-and-time": ("(t/T)*x", "(t/T)^2*x", "exp(-5*t/T)*x"),
+    "rate-and-time": ("(t/T)*u", "(t/T)^2*u", "exp(-5*t/T)*u", "(t/T)*S"),
+    "acceleration": ("acceleration", "x*acceleration", "x^2*acceleration", "(t/T)*acceleration"),
+}
+_SIGNALS = {
+    "time": ("1", "(t/T)", "(t/T)^2", "(t/T)^3", "exp(-5*t/T)"),
+    "signal": ("y", "y^2", "y^3", "y^5", "abs(y)", "y*abs(y)"),
+    "signal-and-time": ("(t/T)*y", "(t/T)^2*y", "exp(-5*t/T)*y"),
+}
 """Laws of one kind of argument each, as sums of terms in multiples of typical motion and of the longest trial."""
 _SAID = {"t": "time", "q": "position"}
 _HELPERS = {"x": "q/c", "u": "rate/v", "S": "tanh(50*rate/v)", "y": "signal/s"}
 _SCALES = {"c": "coordinate", "v": "rate", "s": "signal", "T": "time"}
+_OF_TIME_ALONE = ("force-of-time", "signal-of-time")
 _STEADY = ("bias", "constant-force", "drift", "rest-offset")
 _RIDER = """
 [rider]
@@ -184,8 +185,8 @@ def _words(law: Effect) -> str:
 @cache
 def _library() -> tuple[Effect, ...]:
     """Return the laws as effects."""
-    entries = [_entry(f"force-{n}", '["joint", "body"]', "F", one) for n, one in enumerate(_FORCES)]
-    entries += [_entry(f"signal-{n}", '["input", "output"]', "y", one) for n, one in enumerate(_SIGNALS)]
+    entries = [_entry(f"force-of-{of}", '["joint", "body"]', "F", one) for of, one in _FORCES.items()]
+    entries += [_entry(f"signal-of-{of}", '["input", "output"]', "y", one) for of, one in _SIGNALS.items()]
     periods = 1.0 / (2.0 * np.pi * np.geomspace(*criteria.RIDERS, criteria.RIDERS_TRIED))
     riders = (
         f'{_RIDER}period = {{ quantity = "time", lower = {periods[-1] / 2.0:.6f}, upper = {2.0 * periods[0]:.6f}, '
@@ -274,15 +275,14 @@ def _is_own(causes: Sequence[AttachedEffect], site: Site, law: Effect) -> bool:
     What is constant or drifts looks the same at many sites: beside it a law of nothing but time is no other law,
     wherever it is.
     """
-    of_time = law.id.endswith("-0")
     return any(
-        (of_time and one.effect.id in _STEADY)
-        or (one.site == site.name and _same_arguments(one.effect, law, site))
+        (law.id in _OF_TIME_ALONE and one.effect.id in _STEADY)
+        or (one.site == site.name and one.effect.kind == site.kind and _has_arguments_of(one.effect, law))
         for one in causes
     )
 
 
-def _same_arguments(cause: Effect, law: Effect, site: Site) -> bool:
-    any_argument = not cause.arguments and cause.kind in ("input", "output")
-    same = any_argument or (law.arguments <= cause.arguments and not law.states)
-    return cause.kind == site.kind and same
+def _has_arguments_of(cause: Effect, law: Effect) -> bool:
+    """Tell whether a cause depends on all that a law of the same site depends on."""
+    in_python = not cause.arguments and cause.kind in ("input", "output")
+    return in_python or (law.arguments <= cause.arguments and not law.states)

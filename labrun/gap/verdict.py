@@ -124,13 +124,12 @@ def stands_all_the_same(found: VerdictBasis, without: VerdictBasis) -> bool:
     than they leave, too); or, where repeats tell the noise, they explain the whole of what is beyond it, in no choice
     of conditions more than there is: a share of what may be nothing has no end.
     """
-    if (
-        found.left_is_gap
-        or found.shrinkage is None
-        or (not found.noise_known and found.shrinkage.value < 0.5)
-    ):
+    if found.left_is_gap or found.shrinkage is None:
         return False
-    whole = found.shrinkage.value >= criteria.WHOLE_SHARE and found.shrinkage.high <= 1.0
+    removed = found.shrinkage.value
+    if not found.noise_known and removed < 1.0 - removed:
+        return False
+    whole = removed >= criteria.WHOLE_SHARE and found.shrinkage.high <= 1.0
     plainly = replace(without, better_alone="").left_is_gap
     return plainly or (found.noise_known and without.remains and not found.remains and whole)
 
