@@ -45,6 +45,7 @@ from labrun.report.text import (
 )
 
 MOST_LINES = 20
+_HEAD_LINES = 5
 _MARGIN = 9
 _NARROWEST = 40
 _LEAST_FOR_SENTENCES = 1
@@ -62,7 +63,7 @@ def gap_lines(diagnosis: Diagnosis, width: int, files: Mapping[str, Path] | None
     """
     width = max(width, _NARROWEST)
     room = width - _MARGIN
-    head = _fitted([diagnosis.sentence], width, 3)
+    head = _fitted([diagnosis.sentence], width, _HEAD_LINES)
     fixed = [("gap", _gap(diagnosis, room)), ("where", [_cut(line, room) for line in _where(diagnosis)])]
     if diagnosis.rest is not None:
         fixed.append(("rest", _fitted([diagnosis.rest.sentence], room, 3)))

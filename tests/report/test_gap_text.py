@@ -42,6 +42,17 @@ def test_what_cannot_be_told_apart_is_told_with_the_cause():
     )
 
 
+def test_the_law_at_the_end_of_a_long_verdict_is_told():
+    verdict = (
+        "Gain at torque differs by trial (standard deviation 0.13 %) and gain at side_force differs by trial (standard "
+        "deviation 0.097 %). Beside that: the cause is not in the library: a gap of 27 times one trial's noise remains "
+        "after recalibration; the nearest, end stop at root and asymmetric stiffness at root, remove 91 % of it, but a "
+        "law of signal at torque explains more without them."
+    )
+    told = " ".join(lines_of(replace(examples.no_gap(), sentence=verdict), 100))
+    assert "a law of signal at torque explains more without them." in told
+
+
 def test_a_narrow_part_that_holds_most_is_named_first():
     lines = lines_of(examples.static(), 120)
     where = next(line for line in lines if line.startswith("where"))

@@ -56,7 +56,8 @@ def test_a_case_has_as_many_conditions_and_repeats_as_are_asked_for(
     assert len(list((tmp_path / "made" / "cases" / "case-0001").glob("trial*.csv"))) == 24
     answer = json.loads((tmp_path / "made" / "sealed" / "case-0001.json").read_text())
     assert (answer["conditions"], answer["repeats"]) == (12, 2)
-    assert run_generator("--conditions", "0", "--out", str(tmp_path / "none")).returncode == 2
+    for wrong in (("--conditions", "0"), ("--condition", "12")):
+        assert run_generator(*wrong, "--out", str(tmp_path / "none")).returncode == 2
 
 
 def test_one_kind_alone_is_made_of_cases_that_the_mixture_of_the_same_seed_does_not_have(
