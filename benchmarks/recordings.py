@@ -2,6 +2,7 @@
 
     python benchmarks/recordings.py FOLDER               # one row per recording in it
     python benchmarks/recordings.py FOLDER --splits      # EMPS and Silverbox: corrected on half, simulated on the rest
+    python benchmarks/recordings.py FOLDER --single      # each trial alone: how sure its causes are, how often right
 
 FOLDER holds recordings (folders with recording.toml and model.toml); LABRUN_RECORDINGS names it if none is given. Each
 is diagnosed once, with the simple model beside it and nothing else said. Seconds are of the processor, all processes.
@@ -9,6 +10,9 @@ is diagnosed once, with the simple model beside it and nothing else said. Second
 The splits are not those of the benchmarks, whose test parts (EMPS: the record with pulses; Silverbox: the drive of
 growing amplitude) are not among these recordings: the model is corrected by the first half of the parts, and tested on
 the other half, each part simulated whole from a fitted beginning.
+
+A cause that one trial alone announces is right if it, or the one rival told beside it, is among those that all trials
+together announce, or are said to be like: of EMPS, Silverbox, O-ring and forearm these are the published ones.
 """
 
 import argparse
@@ -90,6 +94,31 @@ def split(folder: Path, workers: int) -> list[str]:
     ]
 
 
+def alone(folder: Path, workers: int) -> list[str]:
+    """Return how many causes single trials announce, how many of them are right, and how sure they are said to be."""
+    question, options = ask(folder, None), Options(places=False, workers=workers)
+    whole = diagnose_dataset(question.dataset, question.model, options)
+    true = {name for cause in whole.causes for name in (cause.name, *cause.indistinguishable_from)}
+    causes = []
+    for trial in question.dataset.trials:
+        data = replace(question.dataset, trials=(trial,))
+        causes += [(trial.label, cause) for cause in diagnose_dataset(data, question.model, options).causes]
+    wrong = [
+        f"{label}: {cause.name.words} ({percent(cause.confidence)})"
+        for label, cause in causes
+        if not true & {cause.name, *cause.indistinguishable_from[:1]}
+    ]
+    told = np.mean([cause.confidence for _, cause in causes]) if causes else float("nan")
+    return [
+        folder.name,
+        f"{len(question.dataset.trials)} trials",
+        f"{len(causes)} causes, {len(causes) - len(wrong)} right, told with {percent(told)}"
+        if causes
+        else "no cause",
+        "; ".join(wrong),
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -98,6 +127,7 @@ def main() -> None:
     parser.add_argument(
         "--splits", action="store_true", help="halves of EMPS and Silverbox instead of the table"
     )
+    parser.add_argument("--single", action="store_true", help="every trial by itself instead of the table")
     parser.add_argument("--only", help="one recording by its name")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     given = parser.parse_args()
@@ -112,7 +142,7 @@ def main() -> None:
             f"no such recording in {given.folder}: it holds {', '.join(one.name for one in folders) or 'none'}"
         )
     for folder in wanted:
-        row = split(folder, given.workers) if given.splits else said_of(folder, given.workers)
+        row = (split if given.splits else alone if given.single else said_of)(folder, given.workers)
         print("| " + " | ".join(row) + " |", flush=True)
 
 

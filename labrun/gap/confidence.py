@@ -45,11 +45,11 @@ def ceiling(basis: Basis, conditions: int, own_share: float = 1.0) -> float:
     form, which is not nature's, leaves as much.
     """
     little = basis == "repeats" and own_share < criteria.LITTLE_SHARE
-    return min(
-        criteria.SURE_OF_LITTLE if little else criteria.SURE,
-        criteria.SURE_WITHOUT_REPEATS if basis == "residual" else criteria.SURE,
-        criteria.SURE_OF_ONE_CONDITION if conditions == 1 else criteria.SURE,
-    )
+    if conditions == 1:
+        most = criteria.SURE_OF_ONE_TRIAL if basis == "residual" else criteria.SURE_OF_ONE_CONDITION
+    else:
+        most = criteria.SURE_WITHOUT_REPEATS if basis == "residual" else criteria.SURE
+    return min(criteria.SURE_OF_LITTLE if little else criteria.SURE, most)
 
 
 def upper_bounds(

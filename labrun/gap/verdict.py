@@ -303,11 +303,16 @@ def limitations(
             "One trial only: nothing was repeated, and only blocks of its time could be withheld; take this as a hint."
         )
     if basis == "residual":
+        sure, were = criteria.SURE_WITHOUT_REPEATS, "without repeats were right on simulated benches"
+        if conditions == 1:
+            sure, were = (
+                criteria.SURE_OF_ONE_TRIAL,
+                "by one trial of a real machine were so by all of its trials",
+            )
         found.append(
             "No condition was repeated: how much of what is left is noise is not known. A cause was believed where it "
             "explains more of the residual than anything does of the residual with its phases at random, and with a "
-            f"confidence of at most {100 * criteria.SURE_WITHOUT_REPEATS:.0f} %: so many of those announced without "
-            "repeats were right on simulated benches."
+            f"confidence of at most {100 * sure:.0f} %: about so many of those announced {were}."
         )
     elif basis == "stated":
         found.append(

@@ -17,8 +17,8 @@ def test_noise_told_without_repeats_and_one_condition_each_lower_what_is_said_at
     assert ceiling("repeats", 1) < rich
 
 
-def test_one_trial_is_no_surer_than_either_of_its_lacks() -> None:
-    assert ceiling("residual", 1) == min(ceiling("residual", 4), ceiling("repeats", 1))
+def test_one_trial_is_less_sure_than_either_of_its_lacks_alone() -> None:
+    assert ceiling("residual", 1) < min(ceiling("residual", 4), ceiling("repeats", 1))
 
 
 def test_a_cause_that_little_comes_back_without_is_less_sure_where_repeats_show_what_forms_lack() -> None:
