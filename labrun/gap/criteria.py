@@ -215,10 +215,24 @@ FINER_STEPS = 8
 """What is stiff in a withheld condition only is simulated again with so many times the integrator's steps."""
 LEAST_INFORMATION = 0.12
 """Part of what is known of a size that a fit must have seen to say anything about it: one of eight conditions."""
+STANDARD_ERRORS = 1.0
+"""Standard errors over units of evidence that an improvement has to exceed (one-standard-error rule)."""
+MARGIN = 0.1
+"""Fall of the mean log squared error that matters in practice: 5 % of the root mean square."""
+SHARE_OF_GAP = 0.05
+"""Share of the gap (root mean square on unseen data) that a cause has to close, and below which nothing is left."""
+ENOUGH_UNITS = 8
+"""Units of evidence: with fewer conditions, each is cut into blocks of time until there are so many."""
+LEAST_ERROR = 1e-12
+"""Mean squared error, in units of the noise, below which a prediction is exact."""
 MOST_CAUSES = 3
 """Causes that may be at work together."""
 RATED = 8
-"""Candidates of a round that are tested on withheld conditions."""
+"""Candidates beside one set of causes that are judged on unseen data."""
+BEAM = 2
+"""Sets of causes of one size that further causes are looked for beside."""
+FORMS_TRIED = 3
+"""Candidates nearest to the best one whose other forms (shapes, fewer levels) are fitted."""
 RATED_ANYWAY = 2
 """The best so many are tested beside no cause even if noise explains them ..."""
 RATED_OF_NEEDED = 0.6

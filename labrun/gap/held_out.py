@@ -108,11 +108,20 @@ def floor_of(data: Dataset, noise: Noise, rng: np.random.Generator) -> float:
     return float(np.percentile(drawn, criteria.FLOOR_PERCENTILE))
 
 
+def unseen_residuals(problem: Problem, z: FloatArray) -> list[tuple[FloatArray, float]]:
+    """Return measured minus simulated of every trial by fits from `z` that have not seen it.
+
+    With each, what the trial's own deviations have beyond their spread. Conditions are withheld one at a time; of a
+    single condition, blocks of time.
+    """
+    single = len(problem.data.conditions) == 1
+    return _block_residuals(problem, z) if single else held_out_residuals(problem, z)
+
+
 def held_out_excess(problem: Problem, z: FloatArray, noise: Noise) -> ExcessResidual:
     """Return what fits from `z` leave of conditions they have not seen; of one condition, of blocks of time."""
-    single = len(problem.data.conditions) == 1
-    found = _block_residuals(problem, z) if single else held_out_residuals(problem, z)
-    return excess(problem.data, noise, [one for one, _ in found], [beyond for _, beyond in found])
+    residual, beyond = zip(*unseen_residuals(problem, z), strict=True)
+    return excess(problem.data, noise, list(residual), list(beyond))
 
 
 def folds(groups: int) -> list[list[int]]:

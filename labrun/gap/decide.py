@@ -1,0 +1,127 @@
+"""The one rule that decides what is a cause, in the order in which the documentation states it.
+
+Evidence is a table of log errors: one row per model (a set of causes), one column per unit of evidence (a condition, or
+a block of time where conditions are few). Each entry is the logarithm of the mean squared error of that unit, predicted
+by a fit that has not seen it. Everything here is arithmetic on such tables: nothing is fitted or simulated.
+
+1. `beats`: a model replaces a simpler one if its mean log error is lower by more than one standard error over the units,
+   and by a margin of practical size.
+2. `leader`: among candidates that the best one does not beat, the simplest leads; the others are its rivals.
+3. `win_frequencies`: how often each candidate wins when the units are resampled and steps 1 and 2 repeated.
+
+The one-standard-error rule: Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984), section 3.4.3;
+Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 2nd edition (2009), section 7.10.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labrun.arrays import FloatArray, IntArray
+from labrun.gap import criteria
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """How much lower the log error of one model is than that of another, paired over units.
+
+    Attributes
+    ----------
+    mean
+        Mean difference; positive where the second model predicts better.
+    standard_error
+        Of that mean, over units. Infinite for a single unit, which tells nothing about its own scatter.
+    """
+
+    mean: float
+    standard_error: float
+
+    @property
+    def is_better(self) -> bool:
+        """Whether the second model predicts better by more than the standard error, and by the practical margin."""
+        return self.mean > max(criteria.STANDARD_ERRORS * self.standard_error, criteria.MARGIN)
+
+
+def compare(before: FloatArray, after: FloatArray) -> Comparison:
+    """Compare the log errors (units,) of two models."""
+    difference = before - after
+    count = len(difference)
+    error = float(np.std(difference, ddof=1) / np.sqrt(count)) if count > 1 else np.inf
+    return Comparison(float(np.mean(difference)), error)
+
+
+def beats(after: FloatArray, before: FloatArray) -> bool:
+    """Tell whether a model of log errors `after` replaces a simpler one of log errors `before` (rule 1)."""
+    return compare(before, after).is_better
+
+
+def near_best(errors: FloatArray) -> IntArray:
+    """Return the rows of a table (candidates, units) that the best row does not beat (rule 2), the best first."""
+    order = np.argsort(np.mean(errors, axis=1), kind="stable")
+    best = errors[order[0]]
+    return np.array([row for row in order if row == order[0] or not beats(best, errors[row])])
+
+
+def leader(errors: FloatArray, complexity: Sequence[tuple[int, ...]]) -> int:
+    """Return the row that leads: the simplest of those that the best one does not beat (rule 2).
+
+    Parameters
+    ----------
+    errors : (candidates, units)
+        Log errors.
+    complexity
+        Of each candidate: number of parameters, then how uncommon it is in practice.
+    """
+    return int(min(near_best(errors), key=lambda row: (complexity[row], float(np.mean(errors[row])))))
+
+
+def resamples(strata: IntArray, count: int, rng: np.random.Generator) -> IntArray:
+    """Return `count` resamples (count, units) of the units, drawn with replacement within each stratum."""
+    drawn = np.empty((count, len(strata)), dtype=np.intp)
+    for stratum in np.unique(strata):
+        members = np.flatnonzero(strata == stratum)
+        drawn[:, members] = rng.choice(members, (count, len(members)))
+    return drawn
+
+
+def win_frequencies(
+    base: FloatArray,
+    errors: FloatArray,
+    complexity: Sequence[tuple[int, ...]],
+    drawn: IntArray,
+) -> FloatArray:
+    """Return how often each candidate leads and beats the base among resampled units (rule 3), shape (candidates,).
+
+    Parameters
+    ----------
+    base : (units,)
+        Log errors of the model that the candidates are added to.
+    errors : (candidates, units)
+        Log errors with each of them.
+    drawn : (resamples, units)
+        As `resamples` returns them.
+    """
+    wins = np.zeros(len(errors))
+    for units in drawn:
+        row = leader(errors[:, units], complexity)
+        if beats(errors[row, units], base[units]):
+            wins[row] += 1.0
+    return wins / len(drawn)
+
+
+def unselected_errors(base: FloatArray, errors: FloatArray, complexity: Sequence[tuple[int, ...]]) -> FloatArray:
+    """Return the log error of every unit by the model that the other units alone choose, shape (units,).
+
+    The winner of a comparison looks better on the data that chose it than it is. Here the choice for a unit has not
+    seen that unit (nested cross-validation on stored errors).
+    """
+    units = np.arange(len(base))
+    if len(units) < 3:
+        return np.asarray(errors[leader(errors, complexity)])
+    honest = np.empty(len(base))
+    for unit in units:
+        others = units != unit
+        row = leader(errors[:, others], complexity)
+        honest[unit] = errors[row, unit] if beats(errors[row, others], base[others]) else base[unit]
+    return honest
