@@ -86,7 +86,6 @@ def diagnose(
     more: Sequence[str | Path] = (),
     signals: Mapping[str, str] | None = None,
     withhold: Sequence[str] = (),
-    full_guard: bool = False,
     seed: int | None = None,
     workers: int | None = None,
     save_model: Path | None = None,
@@ -135,7 +134,6 @@ def diagnose(
     options = Options(
         seed=seed or 0,
         withhold=tuple(withhold),
-        full_guard=full_guard,
         workers=workers or cores(),
         explain_rest=explain_rest,
     )
@@ -143,7 +141,7 @@ def diagnose(
     diagnosis = replace(found, source=str(folder))
     note("writing the report" if page else "storing the diagnosis")
     stored = store(diagnosis, folder, results, page=page, source=question.model.source)
-    if diagnosis.rest is not None and diagnosis.rest.terms:
+    if diagnosis.law is not None and diagnosis.law.terms:
         law = stored.numbers.with_name(LAW)
         save_with_law(diagnosis, question.model.source, law, stored.numbers.with_name(LAW_MODEL))
         stored = replace(stored, law=law)

@@ -237,6 +237,12 @@ class Candidate:
         return len(self.quantities)
 
     @property
+    def complexity(self) -> tuple[int, int]:
+        """Number of variables, then how uncommon the effect is in practice; a fitted shape counts as uncommon."""
+        shapes = max(self.variables - len(self.starts[0]), 0)
+        return self.variables, rank(self.name) + len(COMMON) * shapes
+
+    @property
     def fitted(self) -> tuple[str, ...]:
         """Names of the parameters that they are."""
         if self.attached is None:

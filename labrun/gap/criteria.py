@@ -220,14 +220,14 @@ STANDARD_ERRORS = 1.0
 MARGIN = 0.1
 """Fall of the mean log squared error that matters in practice: 5 % of the root mean square."""
 SHARE_OF_GAP = 0.05
-"""Share of the gap (root mean square on unseen data) that a cause has to close, and below which nothing is left."""
+"""Share of the squared gap that a cause has to close, of seen and of unseen data. Nothing is sought in less."""
 ENOUGH_UNITS = 8
 """Units of evidence: with fewer conditions, each is cut into blocks of time until there are so many."""
 LEAST_ERROR = 1e-12
 """Mean squared error, in units of the noise, below which a prediction is exact."""
 MOST_CAUSES = 3
 """Causes that may be at work together."""
-RATED = 8
+RATED = 6
 """Candidates beside one set of causes that are judged on unseen data."""
 BEAM = 2
 """Sets of causes of one size that further causes are looked for beside."""
@@ -291,13 +291,18 @@ RIVAL_EVIDENCE = 0.5
 RIVAL_SHARE = 0.06
 """... and its share on withheld conditions is no more than this below the cause's."""
 
+EXPLAINED_REST, MOSTLY_REST = 0.1, 0.5
+"""Share of the gap that may be left where it is called explained, and mostly explained."""
+MOST_DEPENDED_ON, DEPENDS = 2, 0.5
+"""Signals that the rest is said to depend on, at most, and the part of what is predictable that each predicts alone."""
+
 # --- what any model could gain ---------------------------------------------------------------------------------------
 
 LEARNED_PIECES = 8
 """Pieces of every trial, one of which is withheld at a time."""
-MOST_LEARNED = 20000
+MOST_LEARNED = 5000
 """Samples that are learned from; of more, every second, third ... is taken."""
-NEURONS, LOOKED_AT, STEEPNESS = 300, 3.0, (0.3, 10.0)
+NEURONS, LOOKED_AT, STEEPNESS = 150, 3.0, (0.3, 10.0)
 """Random neurons, at how many signals each looks in the mean, and how steep they are."""
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
 """Strengths of the ridge per sample; the one that predicts best on what was withheld is told."""
@@ -386,6 +391,8 @@ most alone: where two stood in for each other, it was right, three times of thre
 2.8). Without repeats nothing so small is plain."""
 LEAST_CONFIDENCE = 0.02
 """No announced cause is said to be less likely than this."""
+INTERVAL_DRAWS = 200
+"""Draws that intervals of sizes are read from."""
 NORMAL_95 = 1.96
 """Two-sided 95 % of the normal distribution."""
 RESAMPLES = 400

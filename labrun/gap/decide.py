@@ -4,13 +4,13 @@ Evidence is a table of log errors: one row per model (a set of causes), one colu
 a block of time where conditions are few). Each entry is the logarithm of the mean squared error of that unit, predicted
 by a fit that has not seen it. Everything here is arithmetic on such tables: nothing is fitted or simulated.
 
-1. `beats`: a model replaces a simpler one if its mean log error is lower by more than one standard error over the units,
-   and by a margin of practical size.
-2. `leader`: among candidates that the best one does not beat, the simplest leads; the others are its rivals.
+1. `beats`: a model replaces a simpler one if its mean log error is lower by more than one standard error over the
+   units and a margin of practical size.
+2. `leader`: among candidates within one standard error of the best, the simplest leads; the others are its rivals.
 3. `win_frequencies`: how often each candidate wins when the units are resampled and steps 1 and 2 repeated.
 
-The one-standard-error rule: Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984), section 3.4.3;
-Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 2nd edition (2009), section 7.10.
+The one-standard-error rule: Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984), section
+3.4.3; Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 2nd edition (2009), section 7.10.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,8 @@ class Comparison:
     mean
         Mean difference; positive where the second model predicts better.
     standard_error
-        Of that mean, over units. Infinite for a single unit, which tells nothing about its own scatter.
+        Of that mean: over units, or over conditions where these scatter more than their blocks of time do. Infinite for
+        a single unit, which tells nothing about its own scatter.
     """
 
     mean: float
@@ -39,32 +40,47 @@ class Comparison:
 
     @property
     def is_better(self) -> bool:
-        """Whether the second model predicts better by more than the standard error, and by the practical margin."""
-        return self.mean > max(criteria.STANDARD_ERRORS * self.standard_error, criteria.MARGIN)
+        """Whether the second model predicts better by more than the standard error and the practical margin."""
+        return self.mean - criteria.STANDARD_ERRORS * self.standard_error > criteria.MARGIN
 
 
-def compare(before: FloatArray, after: FloatArray) -> Comparison:
-    """Compare the log errors (units,) of two models."""
+def compare(before: FloatArray, after: FloatArray, strata: IntArray) -> Comparison:
+    """Compare the log errors (units,) of two models; `strata` (units,) numbers the condition of each unit."""
     difference = before - after
-    count = len(difference)
-    error = float(np.std(difference, ddof=1) / np.sqrt(count)) if count > 1 else np.inf
-    return Comparison(float(np.mean(difference)), error)
+    conditions = [float(np.mean(difference[strata == stratum])) for stratum in np.unique(strata)]
+    errors = [_standard_error(difference), _standard_error(np.array(conditions))]
+    finite = [error for error in errors if np.isfinite(error)]
+    return Comparison(float(np.mean(difference)), max(finite, default=np.inf))
 
 
-def beats(after: FloatArray, before: FloatArray) -> bool:
+def _standard_error(values: FloatArray) -> float:
+    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else np.inf
+
+
+def beats(after: FloatArray, before: FloatArray, strata: IntArray) -> bool:
     """Tell whether a model of log errors `after` replaces a simpler one of log errors `before` (rule 1)."""
-    return compare(before, after).is_better
+    return compare(before, after, strata).is_better
 
 
-def near_best(errors: FloatArray) -> IntArray:
-    """Return the rows of a table (candidates, units) that the best row does not beat (rule 2), the best first."""
+def near_best(errors: FloatArray, strata: IntArray) -> IntArray:
+    """Return the rows of a table (candidates, units) within one standard error of the best (rule 2), the best first.
+
+    Differences below half of the practical margin are none.
+    """
     order = np.argsort(np.mean(errors, axis=1), kind="stable")
     best = errors[order[0]]
-    return np.array([row for row in order if row == order[0] or not beats(best, errors[row])])
+
+    def is_near(row: int) -> bool:
+        difference = compare(errors[row], best, strata)
+        return difference.mean <= max(
+            criteria.STANDARD_ERRORS * difference.standard_error, criteria.MARGIN / 2
+        )
+
+    return np.array([row for row in order if row == order[0] or is_near(row)])
 
 
-def leader(errors: FloatArray, complexity: Sequence[tuple[int, ...]]) -> int:
-    """Return the row that leads: the simplest of those that the best one does not beat (rule 2).
+def leader(errors: FloatArray, complexity: Sequence[tuple[int, ...]], strata: IntArray) -> int:
+    """Return the row that leads: the simplest of those within one standard error of the best (rule 2).
 
     Parameters
     ----------
@@ -73,7 +89,7 @@ def leader(errors: FloatArray, complexity: Sequence[tuple[int, ...]]) -> int:
     complexity
         Of each candidate: number of parameters, then how uncommon it is in practice.
     """
-    return int(min(near_best(errors), key=lambda row: (complexity[row], float(np.mean(errors[row])))))
+    return int(min(near_best(errors, strata), key=lambda row: (complexity[row], float(np.mean(errors[row])))))
 
 
 def resamples(strata: IntArray, count: int, rng: np.random.Generator) -> IntArray:
@@ -89,6 +105,7 @@ def win_frequencies(
     base: FloatArray,
     errors: FloatArray,
     complexity: Sequence[tuple[int, ...]],
+    strata: IntArray,
     drawn: IntArray,
 ) -> FloatArray:
     """Return how often each candidate leads and beats the base among resampled units (rule 3), shape (candidates,).
@@ -104,24 +121,7 @@ def win_frequencies(
     """
     wins = np.zeros(len(errors))
     for units in drawn:
-        row = leader(errors[:, units], complexity)
-        if beats(errors[row, units], base[units]):
+        row = leader(errors[:, units], complexity, strata[units])
+        if beats(errors[row, units], base[units], strata[units]):
             wins[row] += 1.0
     return wins / len(drawn)
-
-
-def unselected_errors(base: FloatArray, errors: FloatArray, complexity: Sequence[tuple[int, ...]]) -> FloatArray:
-    """Return the log error of every unit by the model that the other units alone choose, shape (units,).
-
-    The winner of a comparison looks better on the data that chose it than it is. Here the choice for a unit has not
-    seen that unit (nested cross-validation on stored errors).
-    """
-    units = np.arange(len(base))
-    if len(units) < 3:
-        return np.asarray(errors[leader(errors, complexity)])
-    honest = np.empty(len(base))
-    for unit in units:
-        others = units != unit
-        row = leader(errors[:, others], complexity)
-        honest[unit] = errors[row, unit] if beats(errors[row, others], base[others]) else base[unit]
-    return honest

@@ -31,8 +31,6 @@ class Options:
     ----------
     withhold
         Ids of effects that the library is to be without.
-    full_guard
-        Run the whole search, with all its fits, on data made from the recalibrated model and the noise.
     places
         Whether to look for where the gap is; the search for causes does not need it.
     brisk
@@ -43,16 +41,18 @@ class Options:
         What recalibration leaves, in units of the noise, below which no cause is looked for.
     explain_rest
         Whether to propose a law for what the causes leave.
+    within_s
+        Time after which the search ends with the best answer so far.
     """
 
     seed: int = 0
     withhold: Collection[str] = ()
-    full_guard: bool = False
     workers: int = 1
     places: bool = True
     brisk: bool = False
     least_gap: float = 0.0
     explain_rest: bool = False
+    within_s: float = float("inf")
 
 
 def diagnose_dataset(
@@ -79,13 +79,13 @@ def diagnose_dataset(
             model,
             rng,
             withhold=options.withhold,
-            full_guard=options.full_guard,
             brisk=options.brisk,
             least_gap=options.least_gap,
+            deadline_s=start + options.within_s,
             each=each,
             note=note,
         )
-        found = conclude(
+        diagnosis = conclude(
             search,
             rng,
             seed=options.seed,
@@ -95,7 +95,9 @@ def diagnose_dataset(
             each=each,
         )
         if not options.explain_rest:
-            return found
-        end = search.selection.final if found.causes else search.recalibration
-        rest = explain_rest(end.problem, end.z, search.noise, rng, note=note)
-        return replace(found, rest=rest, notes=(*found.notes, *(() if rest is None else (rest.sentence,))))
+            return diagnosis
+        final = search.selection.final
+        law = explain_rest(final.problem, final.z, search.noise, rng, note=note)
+        return replace(
+            diagnosis, law=law, notes=(*diagnosis.notes, *(() if law is None else (law.sentence,)))
+        )

@@ -9,56 +9,74 @@ from labrun.effects import AttachedEffect
 
 
 @dataclass(frozen=True, slots=True)
-class Learnable:
-    """What any model could gain at least: the part of the squares left that a regression without physics predicts.
+class Rung:
+    """A step of the ladder: the error on unseen data once something has been added to the model.
 
     Attributes
     ----------
-    pieces
-        In pieces of time that it did not see, of conditions that it knows.
-    conditions
-        In conditions that it did not see; None where there is one only.
-    why_no_noise
-        What tells besides that it is no noise, in words; "" if nothing does.
+    step
+        What was added: "as stated", "recalibrated", or a cause in words.
+    cause
+        Name of the cause that was added; None for the first two steps.
+    errors : output -> root mean square of measured minus simulated, in the output's unit
+        The noise of the measurement is part of it.
+    in_noise
+        Root mean square of the systematic part over all outputs, in units of one trial's noise.
+    closes
+        Share of the recalibrated gap that this step closes; 0 for the first two steps.
     """
 
-    pieces: float
-    conditions: float | None
-    why_no_noise: str = ""
+    step: str
+    cause: "Name | None"
+    errors: Mapping[str, float]
+    in_noise: float
+    closes: float
 
-    @property
-    def sentence(self) -> str:
-        """What it says."""
-        most = round(100 * max(self.pieces, self.conditions or 0.0))
-        learned = f"at least {most} %" if most else "nothing"
-        if self.why_no_noise:
-            but = f"and {self.why_no_noise}" if most else f"but {self.why_no_noise}: it is no noise"
-            return f"Of what is left, {learned} could be learned, {but}"
-        rest = (
-            f", at most {100 - most} % is noise"
-            if most
-            else ": it is noise, or goes with what was not recorded"
-        )
-        return f"Of what is left, {learned} could be learned{rest}"
+    def to_json(self, units: Mapping[str, str]) -> dict[str, Any]:
+        """Return it as ``--json`` prints it."""
+        return {
+            "step": self.step,
+            "cause": None if self.cause is None else self.cause.to_json(),
+            "errors": {name: {"value": value, "unit": units[name]} for name, value in self.errors.items()},
+            "in_noise": self.in_noise,
+            "closes": self.closes,
+        }
 
 
 @dataclass(frozen=True, slots=True)
-class BeyondScatter:
-    """What a fit leaves that is no trial's own.
+class Rest:
+    """What the causes leave; it is described and never used to withdraw them.
 
     Attributes
     ----------
-    learnable
-        Part of the squared residual that is predicted of withheld pieces, 0 to 1.
-    size
-        Root mean square, in units of the noise of the mean of repeats.
-    chance_of_lines
-        How probable it is that noise has such lines in its spectrum.
+    in_noise
+        Root mean square of what is left on unseen data, in units of one trial's noise.
+    share_of_gap
+        The same as a share of the recalibrated gap.
+    predictable
+        Share of its square that a regression on motion, inputs and their recent past predicts of pieces of time that
+        the regression has not seen, 0 to 1. None where it was not asked.
+    depends_on
+        Signals that predict most of that by themselves, in words.
+    within_noise
+        Whether repeats, or a stated reading error, show that noise alone leaves as much.
     """
 
-    learnable: float = 0.0
-    size: float = 0.0
-    chance_of_lines: float = 1.0
+    in_noise: float
+    share_of_gap: float
+    predictable: float | None = None
+    depends_on: tuple[str, ...] = ()
+    within_noise: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as ``--json`` prints it."""
+        return {
+            "in_noise": self.in_noise,
+            "share_of_gap": self.share_of_gap,
+            "predictable": self.predictable,
+            "depends_on": list(self.depends_on),
+            "within_noise": self.within_noise,
+        }
 
 
 @dataclass(frozen=True)
@@ -142,9 +160,9 @@ class RestLaw:
         }
 
 
-Verdict = Literal["no-gap", "undecided", "parameter", "explained", "partly-explained", "not-in-library"]
-CandidateVerdict = Literal["cause", "ruled-out", "not-visible", "indistinguishable"]
-By = Literal["channel", "condition", "phase", "frequency", "state", "reversal", "equation"]
+Verdict = Literal["no-gap", "explained", "mostly-explained", "partly-explained", "unexplained", "cannot-tell"]
+CandidateVerdict = Literal["cause", "rival", "not-needed", "excluded", "not-visible"]
+By = Literal["channel", "condition", "phase", "frequency", "state", "reversal"]
 CauseKind = Literal["effect", "parameter"]
 
 
@@ -249,11 +267,19 @@ class Cause:
     Attributes
     ----------
     confidence
-        Probability that this, or what it is told together with, is the right one; calibrated on known cases.
+        How often this, or the first of its rivals, wins when the units of evidence are resampled.
     values
         Its parameters; for a parameter, its value.
+    closes
+        Share of the recalibrated gap that it closes on unseen data, where the ladder adds it.
+    returns
+        Share of the gap that comes back without it, the other causes fitted again.
     indistinguishable_from
-        What explains these data about as well: the likeliest, or nothing. Further ones are marked among the candidates.
+        Its first rival, or nothing.
+    rivals
+        All candidates that do as well in its place by the rule, those that win most often first.
+    refers_to
+        What the values refer to: an exponent, a reference speed; held, so without an interval.
     remark
         What to know about it: at a bound, far beyond its tolerance ("1.31 times the stated value") ...
     """
@@ -261,8 +287,16 @@ class Cause:
     name: Name
     confidence: float
     values: Mapping[str, ResampledNumber]
-    indistinguishable_from: tuple[Name, ...] = ()
+    closes: float = 0.0
+    returns: float = 0.0
+    rivals: tuple[Name, ...] = ()
+    refers_to: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     remark: str = ""
+
+    @property
+    def indistinguishable_from(self) -> tuple[Name, ...]:
+        """The first rival, or nothing."""
+        return self.rivals[:1]
 
 
 @dataclass(frozen=True)
@@ -271,15 +305,13 @@ class RatedCandidate:
 
     Attributes
     ----------
-    held_out_share
-        Share of the recalibrated excess it removes on conditions its fit did not see; None where that was not tried.
-    evidence
-        How much the squared residual falls in units of the noise, beside what noise alone would give the best of all
-        candidates (the guard's threshold): above 1 it is beyond chance.
+    closes
+        Share of the recalibrated gap that it closes on unseen data by itself; None where it was not promising enough to
+        be judged.
     values
         As fitted (SI).
     upper_bound
-        Of a candidate that is ruled out: by parameter, the largest size the data leave room for (95 %), and between
+        Of a candidate that is excluded: by parameter, the largest size the data leave room for (95 %), and between
         which ends it then lies: from zero for what cannot be negative. Of a level that is out of reach without the
         effect, such as that of a saturation: the least one, and the farthest that was looked for.
     same_as
@@ -288,8 +320,7 @@ class RatedCandidate:
 
     name: Name
     verdict: CandidateVerdict
-    held_out_share: float | None = None
-    evidence: float = 0.0
+    closes: float | None = None
     values: Mapping[str, ResampledNumber] = field(default_factory=dict)
     upper_bound: Mapping[str, ResampledNumber] = field(default_factory=dict)
     same_as: tuple[Name, ...] = ()
@@ -376,10 +407,14 @@ class Diagnosis:
     noise : output -> standard deviation of one trial
     traces
         The worst unit of each of a few conditions, those with the largest gap first.
+    ladder
+        Errors on unseen data: as stated, recalibrated, with each cause in turn.
     rest
-        A law for what the causes leave, where one was asked for.
-    learnable
-        What any model could gain on what is left; None where nothing is left beyond noise.
+        What the causes leave.
+    law
+        A law for it, where one was asked for.
+    complete
+        Whether the search ended by itself; False where it was interrupted or its time was over.
     """
 
     name: str
@@ -408,11 +443,12 @@ class Diagnosis:
     missing: tuple[MissingForce, ...]
     traces: tuple[ComparedTrace, ...]
     parameter_units: Mapping[str, str]
-    guard: str
     seed: int
     seconds: float
-    rest: RestLaw | None = None
-    learnable: Learnable | None = None
+    ladder: tuple[Rung, ...]
+    rest: Rest
+    law: RestLaw | None = None
+    complete: bool = True
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap diagnose --json`` prints."""
@@ -454,17 +490,11 @@ class Diagnosis:
             "what_next": list(self.what_next),
             "noise": dict(self.noise),
             "data": {"trials": self.trials, "conditions": self.conditions, "repeats": self.repeats},
-            "guard": self.guard,
             "seed": self.seed,
             "seconds": round(self.seconds, 2),
-            "learnable": None
-            if self.learnable is None
-            else {
-                "pieces_of_time": self.learnable.pieces,
-                "conditions": self.learnable.conditions,
-                "why_no_noise": self.learnable.why_no_noise,
-            },
-            **({} if self.rest is None else {"rest": self.rest.to_json()}),
+            "complete": self.complete,
+            "ladder": [rung.to_json(dict(self.channels)) for rung in self.ladder],
+            "rest": {**self.rest.to_json(), **({} if self.law is None else {"law": self.law.to_json()})},
         }
 
 
@@ -473,7 +503,13 @@ def _cause(cause: Cause) -> dict[str, Any]:
         **cause.name.to_json(),
         "confidence": cause.confidence,
         "values": _estimates(cause.values),
+        "closes": cause.closes,
+        "returns_without": cause.returns,
         "indistinguishable_from": _names(cause.indistinguishable_from),
+        "rivals": _names(cause.rivals),
+        "refers_to": {
+            name: {"value": value, "unit": unit} for name, (value, unit) in cause.refers_to.items()
+        },
         "remark": cause.remark,
     }
 
@@ -482,8 +518,7 @@ def _candidate(candidate: RatedCandidate) -> dict[str, Any]:
     return {
         **candidate.name.to_json(),
         "verdict": candidate.verdict,
-        "held_out_share": candidate.held_out_share,
-        "evidence": candidate.evidence,
+        "closes": candidate.closes,
         "values": _estimates(candidate.values),
         "upper_bound": _estimates(candidate.upper_bound),
         "indistinguishable_from": _names(candidate.same_as),

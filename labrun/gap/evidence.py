@@ -65,7 +65,8 @@ class UnseenError:
     Attributes
     ----------
     log : (units,)
-        Logarithm of the mean squared error of each unit, in units of one trial's noise, noise included.
+        Logarithm of the mean squared error of each unit, in units of one trial's noise, noise included; of several
+        outputs the mean of their logarithms, so that none outweighs the others.
     excess
         The same residuals beyond the noise floor.
     rms : (m,)
@@ -107,8 +108,8 @@ def error_of(
     present = [group for group in range(len(data.conditions)) if data.of_group(group)]
     for group, blocks, (mean, _) in zip(present, units.blocks, group_means(data, residual), strict=True):
         own = float(np.mean([beyond[index] for index in data.of_group(group)])) if beyond else 0.0
-        squares = np.mean(np.square(mean / noise.sd), axis=1)
-        for part in np.array_split(squares, blocks):
-            logs.append(np.log(max(float(np.mean(part)) + own, criteria.LEAST_ERROR)))
+        for part in np.array_split(np.square(mean / noise.sd), blocks):
+            squares = np.maximum(np.mean(part, axis=0) + own, criteria.LEAST_ERROR)
+            logs.append(float(np.mean(np.log(squares))))
     rms = np.sqrt(np.mean(np.square(np.concatenate(residual)), axis=0))
     return UnseenError(np.array(logs), excess(data, noise, residual, beyond), rms)

@@ -1,6 +1,6 @@
-"""The form of a candidate: shapes that are fitted before anything is ruled out, and levels that it does without."""
+"""Other forms of a candidate: a wider range, shorter integration steps, fitted shapes, fewer levels."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from itertools import product
 
@@ -11,34 +11,37 @@ from labrun.effects import EffectParameter
 from labrun.fit import Problem, minimise
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
-from labrun.gap.noise_threshold import NoiseThreshold
-from labrun.gap.screening import Base, Screened, around
+from labrun.gap.screening import Base, Screened, derivatives_around
 from labrun.gap.steps import in_shorter_steps
 
 
-def best_form(base: Base, screened: Screened, best: float, threshold: NoiseThreshold) -> Screened:
-    """Return a candidate with its shape fitted, and without levels that nothing asks for, if it is worth that.
+def in_fitting_range(base: Base, screened: Screened) -> Screened:
+    """Return a candidate fitted within a range that holds its optimum, in steps that resolve its force."""
+    return _resolved(base, _widened(base, _resolved(base, _widened(base, screened))))
+
+
+def forms_of(base: Base, screened: Screened, *, shapes: bool) -> Iterator[tuple[bool, Screened]]:
+    """Yield other forms of a candidate, each with whether it is richer than the usual one.
+
+    Richer forms have a shape (an exponent, a transition speed) among what is fitted; poorer ones lack one of several
+    levels: an end stop on one side only.
 
     Parameters
     ----------
-    best
-        Gain of the best candidate, or what has to be gained: of what is far behind it, no shape is looked at.
+    shapes
+        Whether to fit shapes, too.
     """
-    if screened.gain < criteria.SHAPED_BESIDE_BEST * max(best, threshold.gain):
-        return screened
-    usual = resolved(base, widened(base, screened))
-    # a stiff stop has no better stiffness farther on as long as steps are too long for it
-    usual = resolved(base, widened(base, usual))
-    found = shaped(base, usual, threshold)
-    found = usual if found is usual else resolved(base, found)
-    found = without_needless_levels(base, found, threshold)
-    return found if found.candidate is usual.candidate else replace(found, usual=usual)
+    for name in _levels(screened.candidate):
+        yield False, _without_level(base, screened, name)
+    for candidate, choices in _with_shape(screened.candidate) if shapes else ():
+        if _fitted(candidate) != _fitted(screened.candidate):
+            yield True, _resolved(base, _shape_fitted(base, screened, candidate, choices))
 
 
-def widened(base: Base, screened: Screened) -> Screened:
+def _widened(base: Base, screened: Screened) -> Screened:
     """Return a candidate fitted in a wider range, where its size ended at the far end of what was searched.
 
-    What is typical at a site comes from the model as it is: play in a joint that is rigid there goes far beyond its
+    The typical size at a site comes from the model as it is: play in a joint that is rigid there goes far beyond its
     wind-up.
     """
     for _ in range(criteria.WIDENINGS):
@@ -47,7 +50,8 @@ def widened(base: Base, screened: Screened) -> Screened:
             break
         sizes = iter(screened.sizes.tolist())
         parameters = tuple(
-            one if one.held else _further(one, next(sizes)) for one in attached.effect.parameters
+            parameter if parameter.held else _further(parameter, next(sizes))
+            for parameter in attached.effect.parameters
         )
         if parameters == attached.effect.parameters:
             break
@@ -56,38 +60,35 @@ def widened(base: Base, screened: Screened) -> Screened:
             attached=replace(attached, effect=replace(attached.effect, parameters=parameters)),
         )
         problem = candidate.added_to(base.problem).in_steps_of(screened.problem)
-        screened = replace(_ended(base, screened, problem, screened.z), candidate=candidate)
+        screened = replace(_followed(base, screened, problem, screened.z), candidate=candidate)
     return screened
 
 
-def _further(one: EffectParameter, size: float) -> EffectParameter:
-    if one.quantity == "ratio" or (one.neutral != 0.0 and one.quantity != "stiffness"):
-        return one
-    if one.lower < 0.0 and size <= (1.0 - criteria.NEAR_THE_END) * one.lower:
-        return replace(one, lower=criteria.WIDER * one.lower)
-    if size < (1.0 - criteria.NEAR_THE_END) * one.upper:
-        return one
-    return replace(one, upper=criteria.WIDER * one.upper)
+def _further(parameter: EffectParameter, size: float) -> EffectParameter:
+    if parameter.quantity == "ratio" or (parameter.neutral != 0.0 and parameter.quantity != "stiffness"):
+        return parameter
+    if parameter.lower < 0.0 and size <= (1.0 - criteria.NEAR_THE_END) * parameter.lower:
+        return replace(parameter, lower=criteria.WIDER * parameter.lower)
+    if size < (1.0 - criteria.NEAR_THE_END) * parameter.upper:
+        return parameter
+    return replace(parameter, upper=criteria.WIDER * parameter.upper)
 
 
-def resolved(base: Base, screened: Screened) -> Screened:
-    """Return a candidate fitted with steps of the integrator as short as its force asks for.
+def _resolved(base: Base, screened: Screened) -> Screened:
+    """Return a candidate fitted with integration steps as short as its force asks for.
 
-    The base's steps do for the base: friction that holds a joint still, or a stiff stop, wants shorter ones in the
-    trials, and near the reversals, where it acts, and is fitted again with them.
+    Friction that holds a joint still, or a stiff stop, needs shorter steps than the base near the reversals where it
+    acts.
     """
     while screened.candidate.attached is not None:
-        problem = screened.problem
-        finer = in_shorter_steps(problem, screened.z, criteria.STEPS_DO * screened.squares)
-        if finer is problem:
+        finer = in_shorter_steps(screened.problem, screened.z, criteria.STEPS_DO * screened.squares)
+        if finer is screened.problem:
             break
-        # with derivatives in these steps: those in the longer ones led Stribeck's friction to the end of Coulomb's
-        screened = _ended(base, screened, finer, screened.z)
+        screened = _followed(base, screened, finer, screened.z)
     return screened
 
 
-def _ended(base: Base, screened: Screened, problem: Problem, start: FloatArray) -> Screened:
-    beside = around(base, screened.candidate)
+def _followed(base: Base, screened: Screened, problem: Problem, start: FloatArray) -> Screened:
     z = minimise(
         problem,
         start,
@@ -95,123 +96,60 @@ def _ended(base: Base, screened: Screened, problem: Problem, start: FloatArray) 
         evaluations=criteria.FIT_EVALUATIONS,
         central=False,
         secant=True,
-        beside=beside,
+        beside=derivatives_around(base, screened.candidate),
         renewals=criteria.FIT_RENEWALS,
     )
     squares = problem.squares(z)
     return replace(screened, problem=problem, z=z, squares=squares, gain=max(base.squares - squares, 0.0))
 
 
-def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screened:
-    """Return the candidate with its shape fitted, if that explains clearly more; else as it was."""
-    left = screened.squares - threshold.floor
-    if screened.gain < threshold.gain or left < criteria.SHAPE_REMAINDER * screened.gain:
-        return screened
-    end = _shape_fitted(base, screened, threshold.floor)
-    earned = threshold.log_likelihood(end.gain) - threshold.log_likelihood(screened.gain)
-    needed = criteria.SHAPE_PRICE * (end.candidate.variables - screened.candidate.variables)
-    least = min(criteria.SHAPE_EARNS * screened.gain, criteria.AS_GOOD * left)
-    return end if earned >= needed and end.gain - screened.gain >= least else screened
-
-
-def sharpened(base: Base, chosen: Screened, threshold: NoiseThreshold, noise_share: float) -> Screened:
-    """Return a chosen cause with its shape fitted, if that explains clearly more of what it leaves.
-
-    Beside it, what the usual sharpness or exponent leaves would be taken for a cause of its own.
-
-    Parameters
-    ----------
-    chosen
-        Fitted in units of what it leaves, where noise is not told by repeats.
-    noise_share
-        Part of the squares that it leaves which is noise.
-    """
-    usual = chosen if chosen.usual is None else chosen.usual
-    attached = usual.candidate.attached
-    if attached is None or not any(one.shape for one in attached.effect.parameters):
-        return chosen
-    in_these_units = replace(base, problem=base.problem.with_noise(chosen.problem.noise), brisk=False)
-    end = _shape_fitted(in_these_units, chosen, noise_share * chosen.squares, usual.candidate)
-    relative = np.isfinite(threshold.squares)
-    of_what_is_left = replace(threshold, squares=chosen.squares) if relative else threshold
-    earned = of_what_is_left.log_likelihood(max(chosen.squares - end.squares, 0.0))
-    needed = criteria.SHAPE_PRICE * (end.candidate.variables - chosen.candidate.variables)
-    return replace(end, usual=usual) if earned >= needed else chosen
-
-
-def of_a_sign(screened: Screened) -> bool:
-    """Tell whether a candidate's shapes are those of a sign: how sharply a friction turns."""
-    attached = (screened.usual or screened).candidate.attached
-    return attached is not None and any(
-        one.shape and one.quantity == "rate" for one in attached.effect.parameters
-    )
-
-
-def _shape_fitted(base: Base, screened: Screened, floor: float, usual: Candidate | None = None) -> Screened:
-    """Return the candidate with its shape among what is fitted; as it was if it has none.
-
-    Parameters
-    ----------
-    floor
-        Squared residual that is noise.
-    usual
-        The candidate with its shapes open, where one of them has been fitted already: the others are tried beside it.
-    """
+def _shape_fitted(
+    base: Base, screened: Screened, candidate: Candidate, choices: list[tuple[float, ...]]
+) -> Screened:
+    """Return a candidate with its shapes among what is fitted, from the best of their starts."""
     size = base.problem.size
     shared, own = screened.z[:size], screened.problem.own_states(screened.z)
-    beside = around(base, screened.candidate)
-    best, known = screened, _fitted(screened.candidate)
-    first = usual is None or known == _fitted(usual)
-    sizes = {one.name: size for one, size in zip(known, screened.sizes.tolist(), strict=True)}
-    for candidate, choices in _with_shape(screened.candidate if usual is None else usual):
-        if _fitted(candidate) == known:
-            continue
-        problem = candidate.added_to(base.problem).in_steps_of(screened.problem)
-        ends = [
-            minimise(
-                problem,
-                np.concatenate([shared, start, own]),
-                tolerance=criteria.ROUGH_TOLERANCE,
-                evaluations=criteria.ROUGH_EVALUATIONS,
-                central=False,
-                secant=beside is not None,
-                confirmed=beside is None,
-                beside=beside,
-            )
-            for start in _starts(candidate, choices, sizes)
-        ]
-        end = replace(_ended(base, screened, problem, min(ends, key=problem.squares)), candidate=candidate)
-        if first or end.squares - floor < criteria.OTHER_SHAPE_LEAVES * (best.squares - floor):
-            best, first = end, False
-    return best
-
-
-def without_needless_levels(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screened:
-    """Return an effect of several levels without those that the data do not ask for: an end stop on one side only."""
-    for name in _levels(screened.candidate):
-        candidate = _out_of_reach(screened.candidate, name)
-        problem = candidate.added_to(base.problem).in_steps_of(screened.problem)
-        fitted = [one.name for one in _fitted(screened.candidate)]
-        sizes = np.delete(screened.sizes, fitted.index(name))
-        start = np.concatenate(
-            [screened.z[: base.problem.size], sizes, screened.problem.own_states(screened.z)]
+    around = derivatives_around(base, screened.candidate)
+    sizes = {
+        parameter.name: value
+        for parameter, value in zip(_fitted(screened.candidate), screened.sizes.tolist(), strict=True)
+    }
+    problem = candidate.added_to(base.problem).in_steps_of(screened.problem)
+    ends = [
+        minimise(
+            problem,
+            np.concatenate([shared, start, own]),
+            tolerance=criteria.ROUGH_TOLERANCE,
+            evaluations=criteria.ROUGH_EVALUATIONS,
+            central=False,
+            secant=around is not None,
+            confirmed=around is None,
+            beside=around,
         )
-        end = replace(_ended(base, screened, problem, start), candidate=candidate)
-        lost = threshold.log_likelihood(screened.gain) - threshold.log_likelihood(end.gain)
-        if lost < criteria.VARIABLE_PRICE:
-            screened = end
-    return screened
+        for start in _starts(candidate, choices, sizes)
+    ]
+    return replace(_followed(base, screened, problem, min(ends, key=problem.squares)), candidate=candidate)
+
+
+def _without_level(base: Base, screened: Screened, name: str) -> Screened:
+    """Return an effect of several levels with one of them out of reach."""
+    candidate = _out_of_reach(screened.candidate, name)
+    problem = candidate.added_to(base.problem).in_steps_of(screened.problem)
+    fitted = [parameter.name for parameter in _fitted(screened.candidate)]
+    sizes = np.delete(screened.sizes, fitted.index(name))
+    start = np.concatenate([screened.z[: base.problem.size], sizes, screened.problem.own_states(screened.z)])
+    return replace(_followed(base, screened, problem, start), candidate=candidate)
 
 
 def _fitted(candidate: Candidate) -> list[EffectParameter]:
     attached = candidate.attached
-    return [] if attached is None else [one for one in attached.effect.parameters if not one.held]
+    return [] if attached is None else [item for item in attached.effect.parameters if not item.held]
 
 
 def _levels(candidate: Candidate) -> list[str]:
     """Return the fitted parameters that are out of reach without the effect, if there is more than one."""
-    found = [one.name for one in _fitted(candidate) if one.neutral is not None and np.isinf(one.neutral)]
-    return found if len(found) > 1 else []
+    names = [item.name for item in _fitted(candidate) if item.neutral is not None and np.isinf(item.neutral)]
+    return names if len(names) > 1 else []
 
 
 def _out_of_reach(candidate: Candidate, name: str) -> Candidate:
@@ -219,10 +157,10 @@ def _out_of_reach(candidate: Candidate, name: str) -> Candidate:
     if attached is None or scale is None:
         return candidate
     parameters, values = list(attached.effect.parameters), list(attached.values)
-    place = [one.name for one in parameters].index(name)
-    one = parameters[place]
-    far = one.upper if one.neutral == np.inf else one.lower
-    parameters[place], values[place] = replace(one, held=True), far * scale.of(one.quantity)
+    index = [item.name for item in parameters].index(name)
+    parameter = parameters[index]
+    far = parameter.upper if parameter.neutral == np.inf else parameter.lower
+    parameters[index], values[index] = replace(parameter, held=True), far * scale.of(parameter.quantity)
     effect = replace(attached.effect, parameters=tuple(parameters))
     return replace(candidate, attached=replace(attached, effect=effect, values=tuple(values)))
 
@@ -236,27 +174,37 @@ def _with_shape(candidate: Candidate) -> list[tuple[Candidate, list[tuple[float,
     attached = candidate.attached
     if attached is None:
         return []
-    shapes = [one for one in attached.effect.parameters if one.shape]
-    found = []
-    for choice in dict.fromkeys(one.instead_of for one in shapes):
-        free = {one.name for one in shapes if one.instead_of in {"", choice} and one.name != choice}
-        parameters = tuple(_settled(one, free) for one in attached.effect.parameters)
-        choices = [one.starts[1:] if one.name in free else () for one in parameters if not one.held]
+    shapes = [parameter for parameter in attached.effect.parameters if parameter.shape]
+    variants = []
+    for choice in dict.fromkeys(parameter.instead_of for parameter in shapes):
+        free = {
+            parameter.name
+            for parameter in shapes
+            if parameter.instead_of in {"", choice} and parameter.name != choice
+        }
+        parameters = tuple(_settled(parameter, free) for parameter in attached.effect.parameters)
+        choices = [
+            parameter.starts[1:] if parameter.name in free else ()
+            for parameter in parameters
+            if not parameter.held
+        ]
         effect = replace(attached.effect, parameters=parameters)
-        found.append((replace(candidate, attached=replace(attached, effect=effect)), choices))
-    return found
+        variants.append((replace(candidate, attached=replace(attached, effect=effect)), choices))
+    return variants
 
 
-def _settled(one: EffectParameter, free: Collection[str]) -> EffectParameter:
+def _settled(parameter: EffectParameter, free: Collection[str]) -> EffectParameter:
     """Return a parameter that is fitted if it is among these, and is no open shape any more if it is not."""
-    if not one.shape:
-        return one
-    return replace(one, held=False) if one.name in free else replace(one, starts=one.starts[:1])
+    if not parameter.shape:
+        return parameter
+    if parameter.name in free:
+        return replace(parameter, held=False)
+    return replace(parameter, starts=parameter.starts[:1])
 
 
 def _starts(
     candidate: Candidate, choices: list[tuple[float, ...]], sizes: Mapping[str, float]
 ) -> list[tuple[float, ...]]:
     """Return the fitted sizes with every combination of the shapes' starts."""
-    fitted = _fitted(candidate)
-    return list(product(*(choice or (sizes[one.name],) for one, choice in zip(fitted, choices, strict=True))))
+    pairs = zip(_fitted(candidate), choices, strict=True)
+    return list(product(*(choice or (sizes[parameter.name],) for parameter, choice in pairs)))

@@ -9,7 +9,9 @@ from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, EffectParameter, unit_of
 from labrun.fit import Dataset, Problem
 from labrun.gap import criteria
-from labrun.gap.diagnosis import Name, ResampledNumber
+from labrun.gap.diagnosis import ResampledNumber
+from labrun.gap.evidence import Units
+from labrun.gap.noise import Noise
 from labrun.gap.nuisance import off
 from labrun.gap.screening import Base
 from labrun.models import Model
@@ -17,29 +19,44 @@ from labrun.models import Model
 _RIDGE = 1e-10
 
 
-def scatter(base: Base, draws: Sequence[Sequence[FloatArray]]) -> FloatArray:
+def scatter(base: Base, noise: Noise, units: Units, rng: np.random.Generator) -> FloatArray:
     """Return how the scaled shared variables move from one experiment to the next, (draws, size), linearly.
 
-    Noise is drawn from whole trials; where conditions, each left out in turn, move a variable by more than that (a form
-    that is not nature's asks for another size in each), it is drawn that much wider. What is stated of parameters is a
-    measurement as well, as uncertain as its tolerance: it is drawn with the noise. So are shapes that are held, as far
-    as the data leave them open.
+    With known noise it is redrawn from whole trials; where units of evidence, each left out in turn, move a variable by
+    more than that (an idealised form asks for another size in each), it is drawn that much wider. Without, these moves
+    alone tell (jackknife). What is stated of parameters is a measurement as well, as uncertain as its tolerance: it is
+    drawn with the noise. So are shapes that are held, as far as the data leave them open.
     """
-    linear = _Linear(base)
-    count = len(draws)
-    rng = np.random.default_rng(count)
-    noise = linear.moved(
-        [np.column_stack([draw[unit] for draw in draws]) for unit in range(len(base.residual))]
-    )
+    linear, count = _Linear(base), criteria.INTERVAL_DRAWS
+    away = linear.moves_without_each(units)
+    if noise.known:
+        moved = linear.moved(_noise_draws(base.problem, noise, count, rng))
+        by_noise, by_units = np.std(moved, axis=1), np.sqrt(np.sum(np.square(away), axis=0))
+        moved *= np.maximum(by_units / np.where(by_noise > 0, by_noise, np.inf), 1.0)[:, None]
+    else:
+        moved = away.T @ rng.standard_normal((len(away), count))
     stated = rng.standard_normal((base.problem.size, count))
     stated[~np.isfinite(base.problem.priors.sigma)] = 0.0
-    by_noise = np.std(noise, axis=1)
-    wider = np.maximum(linear.disagreement() / np.where(by_noise > 0, by_noise, np.inf), 1.0)
     still = [np.zeros((len(part), count)) for part in base.residual]
-    moved = noise * wider[:, None] + linear.moved(still, stated)
+    moved = moved + linear.moved(still, stated)
     for weights, moves in _shapes(base, linear):
         moved += moves[:, rng.choice(len(weights), count, p=weights)]
     return np.asarray(moved.T)
+
+
+def _noise_draws(problem: Problem, noise: Noise, count: int, rng: np.random.Generator) -> list[FloatArray]:
+    """Return whitened noise of the mean of every trial, as the residuals of `problem` see it, draws in columns."""
+    behind = np.zeros(problem.behind)  # no noise is drawn for what is known of the trial's own variables
+    draws = [noise.draw(problem.data, rng) for _ in range(count)]
+    return [
+        np.column_stack(
+            [
+                np.concatenate([problem.whiten(draw[index] * problem.noise.weights, index).ravel(), behind])
+                for draw in draws
+            ]
+        )
+        for index in range(len(problem.data.trials))
+    ]
 
 
 class _Linear:
@@ -73,28 +90,39 @@ class _Linear:
         changed = [part + row @ move + more for part, row, more in rows]
         return float(prior @ prior) + sum(float(one @ one) for one in changed)
 
-    def disagreement(self) -> FloatArray:
-        """Return the deviation of each variable that the conditions tell, each left out in turn (jackknife), (size,).
+    def moves_without_each(self, units: Units) -> FloatArray:
+        """Return the scaled deviations of each variable with each unit of evidence left out (jackknife), (units, size).
 
-        As wide as Student's distribution asks for with so few. Zero where there are fewer than three.
+        The sum of their squares is the variance of a variable, as wide as Student's distribution asks for with so few.
+        None where there are fewer than two units.
         """
-        groups = [one.group for one in self._problem.data.trials]
-        present = sorted(set(groups))
-        if len(present) < criteria.FEWEST_AGREEING:
-            return np.zeros(self._problem.size)
+        data = self._problem.data
+        present = sorted({trial.group for trial in data.trials})
         whole = self._matrix.T @ self._matrix
         moves = []
-        for group in present:
-            members = [unit for unit, one in enumerate(groups) if one == group]
-            rows = np.concatenate([self._rows[unit] for unit in members]) / self._norms
-            pull = rows.T @ np.concatenate([self._residual[unit] for unit in members])
-            moves.append(np.linalg.lstsq(whole - rows.T @ rows, pull, rcond=_RIDGE)[0] / self._norms)
-        away = np.array(moves) - np.mean(moves, axis=0)
-        count = len(present)
+        for group, blocks in zip(present, units.blocks, strict=True):
+            members = [index for index, trial in enumerate(data.trials) if trial.group == group]
+            for block in range(blocks):
+                rows, residual = [], []
+                for index in members:
+                    samples = len(data.trials[index].outputs)
+                    seen = np.repeat(np.arange(samples) * blocks // samples == block, len(data.outputs))
+                    seen = np.concatenate(
+                        [seen, np.zeros(len(self._residual[index]) - len(seen), dtype=bool)]
+                    )
+                    rows.append(self._rows[index][seen])
+                    residual.append(self._residual[index][seen])
+                inside = np.concatenate(rows) / self._norms
+                pull = inside.T @ np.concatenate(residual)
+                moves.append(np.linalg.lstsq(whole - inside.T @ inside, pull, rcond=_RIDGE)[0] / self._norms)
+        count = len(moves)
+        if count < 2:
+            return np.zeros((0, self._problem.size))
         from scipy.stats import t
 
         wide = float(t.ppf(0.975, count - 1)) / criteria.NORMAL_95
-        return np.asarray(wide * np.sqrt((count - 1.0) / count * np.sum(np.square(away), axis=0)))
+        away = np.array(moves) - np.mean(moves, axis=0)
+        return np.asarray(wide * np.sqrt((count - 1.0) / count) * away)
 
 
 def _shapes(base: Base, linear: _Linear) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -134,32 +162,6 @@ def _shape(base: Base, linear: _Linear, place: int, values: Sequence[float]) -> 
     return odds / odds.sum(), np.column_stack(moves)
 
 
-def may_be_nothing(base: Base, moved: FloatArray) -> dict[Name, float]:
-    """Return the added effects whose sizes may all be zero (95 %), with how many deviations the largest is from it.
-
-    Not those with a level that is neutral at infinity: they are never fitted to nothing.
-
-    Parameters
-    ----------
-    moved
-        What `scatter` returns of the base.
-    """
-    found, variable = dict[Name, float](), base.problem.size - sum(one.variables for one in base.added)
-    for candidate in base.added:
-        effect = None if candidate.attached is None else candidate.attached.effect
-        fitted = [one for one in effect.parameters if not one.held] if effect is not None else []
-        places = [variable + place for place, one in enumerate(fitted) if one.neutral == 0.0]
-        variable += candidate.variables
-        if not places or any(one.neutral is not None and np.isinf(one.neutral) for one in fitted):
-            continue
-        low, high = (base.z[places] + end for end in np.percentile(moved[:, places], [2.5, 97.5], axis=0))
-        if np.all((low <= 0.0) & (high >= 0.0)):
-            spread = np.std(moved[:, places], axis=0)
-            away = np.abs(base.z[places]) / np.where(spread > 0.0, spread, np.inf)
-            found[candidate.name] = float(np.max(away))
-    return found
-
-
 def values_of(
     problem: Problem, z: FloatArray, place: int, moved: FloatArray, model: Model, dataset: Dataset
 ) -> dict[str, ResampledNumber]:
@@ -189,6 +191,18 @@ def values_of(
         )
         variable += 1
     return found
+
+
+def reference_values(
+    problem: Problem, z: FloatArray, index: int, model: Model, dataset: Dataset
+) -> dict[str, tuple[float, str]]:
+    """Return what the sizes of the effect at `index` refer to, with units: its parameters that were held."""
+    attached = problem.attached(problem.parameters(z))[index]
+    units = effect_units(attached, model, dataset)
+    pairs = zip(attached.effect.parameters, attached.values, strict=True)
+    return {
+        parameter.name: (float(value), units[parameter.name]) for parameter, value in pairs if parameter.held
+    }
 
 
 def _form_error(parameter: EffectParameter) -> float:

@@ -10,13 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit import Dataset, OutputNoise, Problem
+from labrun.fit import Dataset, Problem
 from labrun.gap import criteria
 from labrun.gap.candidates import site_courses, typical_time_s
-from labrun.gap.diagnosis import BeyondScatter
 from labrun.gap.held_out import mean_residuals
-from labrun.gap.noise import Noise
-from labrun.gap.noise_threshold import chance_of_lines
 
 
 def learnable_share(problem: Problem, z: FloatArray, *, conditions: bool = False) -> float:
@@ -30,53 +27,41 @@ def learnable_share(problem: Problem, z: FloatArray, *, conditions: bool = False
     conditions
         Withhold whole conditions instead: whether what was learned holds where nothing was measured.
     """
-    residual = [one / problem.spread for one in mean_residuals(problem, z)]
-    return _share(problem, z, residual, conditions)
-
-
-def beyond_scatter(problem: Problem, z: FloatArray, noise: Noise) -> BeyondScatter:
-    """Return what is left once every trial may have parameters and initial states of its own.
-
-    A parameter that is a little off in one trial goes with its motion, too, and is learned from its other pieces:
-    repeats would show it to be noise. What every trial could make in this way is therefore taken out first.
-    """
-    residual = [one / problem.spread for one in mean_residuals(problem, z)]
-    total = sum(float(np.sum(np.square(one))) for one in residual)
-    if total == 0.0:
-        return BeyondScatter()
-    common = _without_own(problem, z, residual)
-    left = sum(float(np.sum(np.square(one))) for one in common)
-    units = [problem.spread / (noise.sd * noise.mean_sd(trial.count)) for trial in problem.data.trials]
-    size = np.sqrt(np.mean(np.square(np.concatenate([a * b for a, b in zip(common, units, strict=True)]))))
-    learnable = _share(problem, z, common, conditions=False) * left / total
-    return BeyondScatter(learnable, float(size), chance_of_lines(common))
-
-
-def _without_own(problem: Problem, z: FloatArray, residual: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return residuals in units of the outputs' spread without what parameters that scatter by trial would change."""
-    from scipy.optimize import lsq_linear
-
-    jacobian = problem.with_noise(OutputNoise(1.0 / problem.spread)).jacobian(z, central=False)
-    most = criteria.SCATTER_BY_TRIAL * np.abs(z[: problem.size])
-    found = []
-    for one, shared, own in zip(residual, jacobian.shared, jacobian.own, strict=True):
-        inside = shared[: one.size] * most
-        seen = np.linalg.norm(inside, axis=0) > 0.0
-        directions = np.column_stack([inside[:, seen], own[: one.size]])
-        if directions.shape[1]:
-            room = np.concatenate([np.ones(np.sum(seen)), np.full(own.shape[1], np.inf)])
-            explained = lsq_linear(directions, one.ravel(), (-room, room)).x
-            found.append(one - (directions @ explained).reshape(one.shape))
-        else:
-            found.append(one)
-    return found
-
-
-def _share(problem: Problem, z: FloatArray, residual: Sequence[FloatArray], conditions: bool) -> float:
-    """Return the part of a residual that is predicted where it was withheld, 0 to 1."""
-    seen = _seen(problem, z)
-    if seen is None:
+    residual = [part / problem.spread for part in mean_residuals(problem, z)]
+    signals = _signals(problem, z)
+    if not signals:
         return 0.0
+    seen = [
+        _with_past(problem, trial, np.column_stack([parts[trial] for parts in signals.values()]))
+        for trial in range(len(problem.data.trials))
+    ]
+    return _share(problem, residual, conditions, seen)
+
+
+def dependence(problem: Problem, z: FloatArray, whole: float) -> tuple[str, ...]:
+    """Return the signals that predict most of the residual by themselves, in words, the best first.
+
+    Parameters
+    ----------
+    whole
+        `learnable_share` with all signals.
+    """
+    residual = [part / problem.spread for part in mean_residuals(problem, z)]
+    signals = _signals(problem, z)
+    shares = {
+        name: _share(
+            problem, residual, False, [_with_past(problem, trial, part) for trial, part in enumerate(parts)]
+        )
+        for name, parts in signals.items()
+    }
+    best = sorted(shares, key=lambda name: -shares[name])[: criteria.MOST_DEPENDED_ON]
+    return tuple(name for name in best if shares[name] >= criteria.DEPENDS * whole)
+
+
+def _share(
+    problem: Problem, residual: Sequence[FloatArray], conditions: bool, seen: Sequence[FloatArray]
+) -> float:
+    """Return the part of a residual that signals `seen` predict where it was withheld, 0 to 1."""
     stride = max(1, sum(map(len, residual)) // criteria.MOST_LEARNED)
     inside = np.concatenate([one[::stride] for one in seen])
     wanted = np.concatenate([one[::stride] for one in residual])
@@ -125,22 +110,33 @@ def _pieces(data: Dataset, conditions: bool) -> list[FloatArray]:
     return [np.floor(count * np.arange(len(one.time_s)) / len(one.time_s)) for one in data.trials]
 
 
-def _seen(problem: Problem, z: FloatArray) -> list[FloatArray] | None:
-    """Return what the neurons see of every unit, (n, features): motion of the sites, outputs, inputs and their past."""
-    if any(one.followed for one in problem.model.outputs):
-        return None  # a motion that follows what was measured follows its noise, too, and would predict that of it
-    courses = site_courses(problem, z)
+def _signals(problem: Problem, z: FloatArray) -> dict[str, list[FloatArray]]:
+    """Return what the regression may look at, by its name in words, each an array (n, features) per trial.
+
+    Nothing where a motion follows what was measured: it follows its noise, too, and would predict that of it.
+    """
+    model = problem.model
+    courses = None if any(output.followed for output in model.outputs) else site_courses(problem, z)
     if courses is None:
-        return None
-    memory_s = typical_time_s(problem)
-    found = []
-    for trial, (course, outputs) in zip(problem.data.trials, courses, strict=True):
-        flat = course[:, :, :3].reshape(len(course), -1)
-        signals = np.column_stack([flat, outputs, trial.inputs])
-        slopes = _slopes(signals, trial.time_s)
-        past = [_past(signals, trial.time_s, memory_s * part) for part in criteria.MEMORIES]
-        found.append(np.column_stack([signals, slopes, *past]))
-    return found
+        return {}
+    signals: dict[str, list[FloatArray]] = {}
+    for index, site in enumerate(model.sites):
+        for column, word in enumerate(("position", "speed", "load")):
+            parts = [course[:, index, column : column + 1] for course, _ in courses]
+            if any(np.ptp(part) > 0.0 for part in parts):
+                signals[f"{word} of {site.name}"] = parts
+    for column, output in enumerate(model.outputs):
+        signals[output.name] = [outputs[:, column : column + 1] for _, outputs in courses]
+    for column, signal in enumerate(model.inputs):
+        signals[signal.name] = [trial.inputs[:, column : column + 1] for trial in problem.data.trials]
+    return signals
+
+
+def _with_past(problem: Problem, trial: int, signals: FloatArray) -> FloatArray:
+    """Return signals (n, p) of a trial with their slopes and their recent past."""
+    time_s, memory_s = problem.data.trials[trial].time_s, typical_time_s(problem)
+    past = [_past(signals, time_s, memory_s * part) for part in criteria.MEMORIES]
+    return np.column_stack([signals, _slopes(signals, time_s), *past])
 
 
 def _slopes(signals: FloatArray, time_s: FloatArray) -> FloatArray:

@@ -403,3 +403,25 @@ def quantum(units: Dataset) -> FloatArray:
             float(different.min()) if different.size else max(1e-9 * float(np.max(np.abs(values))), 1e-300)
         )
     return np.array(steps)
+
+
+def independent_share(residual: Sequence[FloatArray]) -> float:
+    """Return how many independent numbers there are to each sample of residuals (n, m), by their spectra.
+
+    White noise has one; a single sine two in a whole trial.
+    """
+    energies, freedoms = [], []
+    for one in residual:
+        for column in one.T:
+            power = np.square(np.abs(np.fft.rfft(column)))
+            power[0] *= 0.5
+            total = float(np.sum(power))
+            if total > 0:
+                energies.append(total)
+                # powers of noise scatter by as much as they are: their mean square is twice the spectrum's
+                freedom = 4.0 * total**2 / float(np.sum(np.square(power)))
+                freedoms.append(min(freedom, float(len(column))))
+    if not energies:
+        return 1.0
+    pooled = np.sum(energies) ** 2 / np.sum(np.square(energies) / np.array(freedoms))
+    return float(min(pooled / sum(one.size for one in residual), 1.0))

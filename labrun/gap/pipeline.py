@@ -11,18 +11,19 @@ from labrun.gap import criteria
 from labrun.gap.averaging import averaged, without_crowding
 from labrun.gap.candidates import Candidate, candidates, site_scales, untried
 from labrun.gap.data_checks import CheckedTrials, require_informative, with_sound_clocks
+from labrun.gap.diagnosis import Name
+from labrun.gap.evidence import Units, UnseenError, error_of, unseen_error
 from labrun.gap.held_out import (
     ExcessResidual,
     fitted_excess,
     floor_of,
-    held_out_excess,
     mean_residuals,
     not_withheld,
 )
 from labrun.gap.lines import growth_in_wells
 from labrun.gap.noise import Noise
-from labrun.gap.noise_threshold import Null, full_strictness, noise_threshold
 from labrun.gap.on_course import kept_in_wells, kept_on_course
+from labrun.gap.progress import Progress
 from labrun.gap.recalibration import (
     Recalibrated,
     bound_remarks,
@@ -34,7 +35,7 @@ from labrun.gap.recalibration import (
     unsearched,
     with_deviations,
 )
-from labrun.gap.screening import Base, survey
+from labrun.gap.screening import Base
 from labrun.gap.selection import Selection, Selector
 from labrun.gap.trial_wise import ALSO_SHAPES, beginning_s, found_alone, set_anew, simulated_changes
 from labrun.models import Model
@@ -50,11 +51,14 @@ class Search:
         The trials that were looked at, and the same with repeats averaged.
     limitations, notes
         What to know about them, in sentences.
-    null
-        What candidates had to beat.
-    raw, recalibrated
-        Excess with the stated and the recalibrated parameters; `held_out` that of recalibrations that did not
-        see the condition.
+    units
+        Units of evidence.
+    floor
+        Systematic residual that noise alone leaves at most, in units of one trial's noise; 0 where nothing tells it.
+    stated
+        Errors of the stated parameters, which have seen nothing.
+    recalibrated
+        What recalibration leaves of the data it has seen.
     """
 
     dataset: Dataset
@@ -63,12 +67,11 @@ class Search:
     notes: tuple[str, ...]
     recalibration: Recalibrated
     candidates: list[Candidate]
-    null: Null
-    raw: ExcessResidual
+    units: Units
+    floor: float
+    stated: UnseenError
     recalibrated: ExcessResidual
-    held_out: ExcessResidual
     selection: Selection
-    full_guard: bool
     withhold: Collection[str] = ()
 
     @property
@@ -82,11 +85,17 @@ class Search:
         return self.recalibration.noise
 
     @property
+    def is_quiet(self) -> bool:
+        """Whether known noise leaves as much as the recalibrated model, or nothing was asked."""
+        return not self.candidates or (self.noise.known and self.recalibrated.gap <= self.floor)
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """What to know about the recalibration and the causes, and which candidates were not tried."""
         problem, final = self.recalibration.problem, self.selection.final
-        tried = {one.candidate.name for one in self.selection.rounds[0].screened}
-        left_out = [one.name for one in self.candidates if one.name not in tried]
+        first = self.selection.first
+        tried = set() if first is None else {entry.candidate.name for entry in first.screened}
+        left_out = [] if first is None else [one.name for one in self.candidates if one.name not in tried]
         return (
             *bound_remarks(problem, self.recalibration.z),
             *untried(problem.model, self.withhold),
@@ -101,9 +110,9 @@ def search_causes(
     rng: np.random.Generator,
     *,
     withhold: Collection[str] = (),
-    full_guard: bool = False,
     brisk: bool = False,
     least_gap: float = 0.0,
+    deadline_s: float = np.inf,
     each: Each = one_by_one,
     note: Note = silent,
 ) -> Search:
@@ -113,10 +122,10 @@ def search_causes(
     ----------
     withhold
         Ids of effects that the library is to be without.
-    full_guard
-        Run the whole search, with all its fits, on noise alone, too.
     brisk, least_gap
         See `labrun.gap.Options`.
+    deadline_s
+        By `time.perf_counter`: then the search ends with the best answer so far.
 
     Raises
     ------
@@ -134,16 +143,10 @@ def search_causes(
     if model.states:
         data = without_crowding(data)
     first = recalibrate(model, data, rng, note, each)
-    asked = _Asked(clocks, data, withhold, full_guard, brisk, least_gap, rng, each, note)
+    asked = _Asked(clocks, data, withhold, brisk, least_gap, rng, each, note, deadline_s)
     found = _searched(asked, first)
     if not found.candidates:  # what recalibration leaves is no gap here, or nothing moves
         return found
-    if not first.noise.known and not found.selection.chosen:
-        # the phase of a free swing drifts, so that nothing is linear but what its own past does not predict
-        note("nothing explains the residual: looking at what its own past does not predict")
-        noise = replace(first.noise, innovations=True)
-        again = _searched(asked, in_noise(first.problem, noise, first.z))
-        found = _fitted_to_motion(again, first.noise) if again.selection.chosen else found
     found = _with_own_deviations(asked, first, found)
     return _in_wells(asked, found) or found
 
@@ -154,7 +157,7 @@ def _in_wells(asked: "_Asked", found: Search) -> Search | None:
     Only where what is left plainly comes back so, and where the search finds that force then.
     """
     final = found.selection.final
-    if found.selection.held_out.gap < criteria.LARGE_REMAINDER:
+    if found.selection.error.in_noise < criteria.LARGE_REMAINDER or not found.selection.complete:
         return None
     growth = max((growth_in_wells(final.problem, final.z, one) for one in found.candidates), default=0.0)
     held = kept_in_wells(asked.clocks.dataset, found.model, growth) if growth > 0.0 else None
@@ -169,7 +172,7 @@ def _in_wells(asked: "_Asked", found: Search) -> Search | None:
     beside = replace(asked, clocks=clocks, data=data)
     first = recalibrate(model, data, asked.rng, asked.note, asked.each)
     again = _with_own_deviations(beside, first, _searched(beside, first))
-    attached = [one.rated.candidate.attached for one in again.selection.chosen]
+    attached = [cause.candidate.attached for cause in again.selection.chosen]
     return again if any(one is not None and one.effect.periodic for one in attached) else None
 
 
@@ -179,7 +182,7 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
     Causes come first: what they explain of the differences between trials is theirs. If none of them stands beside the
     deviations, these are found again without them.
     """
-    if first.noise.known:
+    if first.noise.known or not found.selection.complete:
         return found
     final = found.selection.final
     for problem, z in ((final.problem, final.z), (first.problem, first.z)):
@@ -196,7 +199,7 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
         asked.note("taking apart what differs from trial to trial, and looking for causes beside it")
         beside, start = with_deviations(first.problem, first.z, deviations)
         zeros = [asked.data.outputs[one].name for one in set_anew(mean_residuals(problem, z), deviations)]
-        again = _searched(asked, in_noise(beside, first.noise, start), zeros)
+        again = _searched(asked, in_noise(beside, first.noise, start), zeros, found.selection.judged)
         if again.selection.chosen or not found.selection.chosen:
             return again
         found = again
@@ -233,7 +236,10 @@ def _fitted_to_motion(search: Search, noise: Noise) -> Search:
     final = search.selection.final
     problem, z = fitted_in_own_units(noise, final.problem, final.z)
     final = Base.of(problem, z, final.added, brisk=final.brisk)
-    selection = replace(search.selection, final=final, held_out=held_out_excess(problem, z, noise))
+    last = replace(
+        search.selection.steps[-1], base=final, error=unseen_error(problem, z, noise, search.units)
+    )
+    selection = replace(search.selection, steps=(*search.selection.steps[:-1], last))
     return replace(search, selection=selection)
 
 
@@ -244,38 +250,43 @@ class _Asked:
     clocks: CheckedTrials
     data: Dataset
     withhold: Collection[str]
-    full_guard: bool
     brisk: bool
     least_gap: float
     rng: np.random.Generator
     each: Each
     note: Note
+    deadline_s: float
 
 
-def _searched(asked: _Asked, recalibration: Recalibrated, zeros: Collection[str] = ()) -> Search:
-    """Search beside a recalibration; a bias of outputs whose zeros are set anew in each trial is no cause."""
+def _searched(
+    asked: _Asked,
+    recalibration: Recalibrated,
+    zeros: Collection[str] = (),
+    among: Collection[Name] | None = None,
+) -> Search:
+    """Search beside a recalibration.
+
+    Parameters
+    ----------
+    zeros
+        Outputs whose zeros are set anew in each trial: their bias is no cause.
+    among
+        Names of the candidates to search among; the whole library if None.
+    """
     problem, noise, z = recalibration.problem, recalibration.noise, recalibration.z
     recalibrated = fitted_excess(problem, z, noise)
     scales = site_scales(problem, z) if recalibrated.gap >= asked.least_gap else None
     every = [
         one
         for one in (() if scales is None else candidates(problem.model, scales, asked.withhold))
-        if not (one.name.effect == "bias" and one.name.site in zeros)
+        if not (one.name.effect == "bias" and one.name.site in zeros) and (among is None or one.name in among)
     ]
     asked.note(f"trying {len(every)} candidates")
-    null = Null.of(problem, noise, asked.rng)
-    held_out = held_out_excess(problem, z, noise)
     base = Base.of(problem, z, brisk=asked.brisk)
-    strictness = 1.0
-    if asked.full_guard:
-        asked.note("running the whole search on noise alone, for the guard")
-        linear = noise_threshold(base, asked.each(lambda one: survey(base, one), every), null)
-        strictness = full_strictness(base, every, null, linear, asked.rng, asked.each)
-    small = criteria.SMALL_GAP
-    if noise.known:
-        floor = floor_of(problem.data, noise, np.random.default_rng(null.seed))
-        small = criteria.BEYOND_FLOOR * floor
-    selector = Selector(base, every, noise, null, held_out, strictness, asked.each, asked.note, small)
+    floor = floor_of(problem.data, noise, asked.rng) if noise.known else 0.0
+    units = Units.of(problem.data, mean_residuals(problem, z))
+    progress = Progress(asked.each, asked.note, asked.deadline_s)
+    selector = Selector(base, every, noise, units, floor, asked.rng, progress)
     limitations = (
         *unit_remarks(problem, recalibration.raw),
         *asked.clocks.limitations,
@@ -289,12 +300,11 @@ def _searched(asked: _Asked, recalibration: Recalibrated, zeros: Collection[str]
         asked.clocks.notes,
         recalibration,
         every,
-        null,
-        fitted_excess(problem, recalibration.raw, noise),
+        units,
+        floor,
+        error_of(problem.data, noise, units, mean_residuals(problem, recalibration.raw)),
         recalibrated,
-        held_out,
         selector.select(),
-        asked.full_guard,
         asked.withhold,
     )
 

@@ -23,8 +23,14 @@ from labrun.fit import (
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.held_out import ExcessResidual, fitted_excess, floor_of, mean_residuals
-from labrun.gap.noise import Noise, fit_whitener, from_reading_errors, from_repeats, of_sensor
-from labrun.gap.noise_threshold import independent_share
+from labrun.gap.noise import (
+    Noise,
+    fit_whitener,
+    from_reading_errors,
+    from_repeats,
+    independent_share,
+    of_sensor,
+)
 from labrun.gap.screening import refit
 from labrun.gap.trial_wise import begun_elsewhere, found_in_repeats
 from labrun.models import Model

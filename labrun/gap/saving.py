@@ -75,7 +75,7 @@ def save_with_law(diagnosis: Diagnosis, source: str | Path, law: Path, path: Pat
     ModelError
         A value that the model does not allow.
     """
-    rest = diagnosis.rest
+    rest = diagnosis.law
     if rest is None or not rest.terms:
         return
     _write(law, f"# {rest.sentence}\n\n{rest.toml}")

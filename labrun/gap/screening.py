@@ -48,6 +48,16 @@ class Base:
         squares = float(prior @ prior) + sum(float(part @ part) for part in residual)
         return cls(problem, z, residual, squares, NuisanceProjection(problem, z, residual), added, brisk)
 
+    def sorted_as(self, candidates: Sequence[Candidate]) -> FloatArray:
+        """Return the variables in the order of a problem to which the same candidates were added in another order."""
+        start = self.problem.size - sum(candidate.variables for candidate in self.added)
+        parts, at = {}, start
+        for candidate in self.added:
+            parts[candidate.name] = self.z[at : at + candidate.variables]
+            at += candidate.variables
+        sizes = [parts[candidate.name] for candidate in candidates]
+        return np.concatenate([self.z[:start], *sizes, self.problem.own_states(self.z)])
+
 
 @dataclass(frozen=True)
 class Survey:
@@ -109,8 +119,6 @@ class Screened:
         Where the fit ended; where the survey promised nothing, its best start.
     gain
         By how much the sum of squares fell.
-    usual
-        The candidate in its usual form, where another one does better.
     """
 
     candidate: Candidate
@@ -119,7 +127,6 @@ class Screened:
     squares: float
     gain: float
     survey: Survey = field(repr=False)
-    usual: "Screened | None" = field(default=None, repr=False)
 
     @property
     def sizes(self) -> FloatArray:
@@ -218,7 +225,7 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     return _screened(base, surveyed, problem, z, squares)
 
 
-def around(base: Base, candidate: Candidate) -> Jacobian | None:
+def derivatives_around(base: Base, candidate: Candidate) -> Jacobian | None:
     """Return the derivatives that brisk fits carry over: by what a candidate is added to, whose variables move little.
 
     None where fits are not brisk, and of a parameter, which is among them.
@@ -228,7 +235,7 @@ def around(base: Base, candidate: Candidate) -> Jacobian | None:
 
 def follow(base: Base, begun: Screened) -> Screened:
     """Fit all variables to the end, from where a rough fit ended."""
-    problem, beside = begun.problem, around(base, begun.candidate)
+    problem, beside = begun.problem, derivatives_around(base, begun.candidate)
     z = minimise(
         problem,
         begun.z,
@@ -245,10 +252,7 @@ def follow(base: Base, begun: Screened) -> Screened:
 def screen_all(
     base: Base,
     surveys: Sequence[Survey],
-    threshold: float = 0.0,
     each: Each = one_by_one,
-    worth: float = criteria.WORTH_FOLLOWING,
-    beside_best: float = criteria.WORTH_BESIDE_BEST,
     known: Mapping[Name, FloatArray] | None = None,
 ) -> list[Screened]:
     """Fit every candidate whose survey promises something, in their order.
@@ -258,19 +262,13 @@ def screen_all(
 
     Parameters
     ----------
-    threshold
-        What a gain must exceed to count.
-    worth
-        Which part of the best gain is not far behind.
-    beside_best
-        Which part of what the best survey promises is worth a fit.
     known
         Sizes at which earlier fits of candidates ended; see `rough`.
     """
     known = known or {}
     surveys = [one for one in surveys if one.starts]
     best = max((one.potential for one in surveys), default=0.0)
-    needed = max(criteria.WORTH_A_FIT * threshold, beside_best * best)
+    needed = criteria.WORTH_BESIDE_BEST * best
     top = sorted((one.potential for one in surveys), reverse=True)[: criteria.ALWAYS_FITTED]
     needed = min(needed, top[-1]) if top else needed
 
@@ -282,8 +280,9 @@ def screen_all(
 
     begun = each(begin, surveys)
     gains = sorted((one.gain for one in begun if one.survey.potential >= needed), reverse=True)
-    enough = min(worth * gains[0], gains[: criteria.ALWAYS_FITTED + 1][-1]) if gains else 0.0
-    enough = max(enough, worth * threshold)  # nor what falls far short of what it must
+    enough = (
+        min(criteria.WORTH_FOLLOWING * gains[0], gains[: criteria.ALWAYS_FITTED + 1][-1]) if gains else 0.0
+    )
 
     def finish(one: Screened) -> Screened:
         worthy = one.survey.potential >= needed and one.gain >= enough
@@ -292,15 +291,14 @@ def screen_all(
     return each(finish, begun)
 
 
-def begun_where_kin_ended(
-    base: Base, screened: Sequence[Screened], threshold: float, each: Each = one_by_one
+def refit_from_related_optima(
+    base: Base, screened: Sequence[Screened], each: Each = one_by_one
 ) -> list[Screened]:
     """Fit effects again from where a better one of their family ended whose sizes are of the same quantities.
 
-    What mends nearly the same has its best sizes nearly there, and a fit from afar may not have found them.
+    Related effects have their best sizes close together, and a fit from afar may have missed them.
     """
-    best = max((one.gain for one in screened), default=0.0)
-    enough = max(threshold, criteria.WORTH_FOLLOWING * best)
+    enough = criteria.WORTH_FOLLOWING * max((entry.gain for entry in screened), default=0.0)
 
     def again(one: Screened) -> Screened:
         kin = [

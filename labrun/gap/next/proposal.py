@@ -166,7 +166,7 @@ def _told(one: Evidence) -> str:
         return f"if it is {one.truth}, {one.rival} can do the same with more parameters: the simpler is named"
     if one.told_apart:
         return f"{one.truth} or {one.rival}: told apart, at {_number(one.sigma)} standard deviations"
-    if one.sigma < criteria.CLEARLY_SEEN:
+    if one.sigma < criteria.VISIBLE_DIFFERENCE:
         return f"{one.truth} or {one.rival}: not told apart, they predict the same"
     return f"{one.truth} or {one.rival}: {_number(one.sigma)} standard deviations, too few for what the effect shows"
 

@@ -13,8 +13,7 @@ from labrun.gap.diagnosis import Name
 from labrun.gap.next.imitation import Change, Imitation, greedy, information
 from labrun.gap.next.trials import PlannedTrial, planned_data
 from labrun.gap.pipeline import Search
-from labrun.gap.rating import Rated
-from labrun.gap.screening import refit
+from labrun.gap.selection import CauseSet
 
 NOTHING = "recalibration only"
 
@@ -31,10 +30,6 @@ class Rival:
         None for the recalibrated model without any effect.
     variables
         Number of variables that its cause adds.
-    squares
-        Sum of squared residuals on the data, prior included.
-    slack
-        How far its idealised form is to be believed: the part of what it is to explain that it leaves.
     """
 
     name: str
@@ -42,8 +37,6 @@ class Rival:
     problem: Problem
     z: FloatArray
     variables: int
-    squares: float
-    slack: float = criteria.IDEALISED_FORM[1]
 
     @property
     def shared(self) -> FloatArray:
@@ -79,15 +72,12 @@ class Rivals:
         Whether the diagnosis itself could not tell them apart; else the cause is held against its runner-up.
     why
         What is compared with what, as a sentence.
-    dispersion
-        Energy of the noise in one direction, as the guard found it; 1 for white noise.
     """
 
     rivals: tuple[Rival, ...]
     null: Rival
     doubt: bool
     why: str
-    dispersion: float
 
     @property
     def pairs(self) -> list[tuple[Rival, Rival]]:
@@ -102,45 +92,41 @@ def rivals_of(search: Search) -> Rivals:
     held against the runner-up, or against recalibration alone if there is none.
     """
     selection = search.selection
-    first = selection.rounds[0]
-    null = Rival(NOTHING, None, first.base.problem, first.base.z, 0, first.base.squares)
-
-    def told(found: Sequence[Rival], doubt: bool, why: str) -> Rivals:
-        return Rivals(tuple(found), null, doubt, why, first.threshold.dispersion)
-
-    # several doubtful causes: the one taken in last stands beside all others
-    doubtful = [cause for cause in selection.chosen if cause.doubts]
+    reference = selection.reference.base
+    null = Rival(NOTHING, None, reference.problem, reference.z, 0)
+    last = selection.steps[-1]
+    # several doubtful causes: the one that closes least stands beside all others
+    doubtful = [cause for cause in selection.chosen if cause.rivals]
     if doubtful:
-        explanations = (doubtful[-1].rated, *doubtful[-1].doubts)[: criteria.MOST_EXPLANATIONS]
-        found = [_fitted(one, null) for one in explanations]
-        names = " or ".join(one.name for one in found[1:])
-        return told(found, True, f"The data cannot tell {found[0].name} from {names}.")
+        cause = doubtful[-1]
+        rivals = [
+            _named(cause.name, last),
+            *(_named(entry.candidates[-1].name, entry) for entry in cause.rivals),
+        ]
+        rivals = rivals[: criteria.MOST_EXPLANATIONS]
+        names = " or ".join(rival.name for rival in rivals[1:])
+        why = f"The data do not separate {rivals[0].name} from {names}."
+        return Rivals(tuple(rivals), null, True, why)
+    judged = [] if selection.first is None else selection.first.extended
     if not selection.chosen:
-        ranked = [_fitted(one, null) for one in selection.rounds[-1].rated[:2]]
-        why = "No cause was named: the best candidates are held against recalibration alone."
-        return told([*ranked, null], False, why)
-    cause = selection.chosen[-1].rated
-    others = [one for one in first.rated if one.candidate.name != cause.candidate.name and one.evidence > 1.0]
-    best = _fitted(cause, null)
+        best = [_named(entry.candidates[-1].name, entry) for entry in judged[:2]]
+        why = "No cause was named: the best candidates are compared with recalibration alone."
+        return Rivals((*best, null), null, False, why)
+    cause = selection.chosen[-1]
+    others = [entry for entry in judged if entry.names != last.names]
     if len(selection.chosen) == 1 and others:
-        second = _fitted(max(others, key=lambda one: one.score), null)
+        second = _named(others[0].candidates[-1].name, others[0])
         against = f"the runner-up, {second.name}"
     else:
         second, against = null, null.name
-    return told(
-        [best, second], False, f"The diagnosis is not in doubt: {best.name} is held against {against}."
-    )
+    first = _named(cause.name, last)
+    why = f"The diagnosis is not in doubt: {first.name} is compared with {against}."
+    return Rivals((first, second), null, False, why)
 
 
-def _fitted(rated: Rated, null: Rival) -> Rival:
-    problem, candidate = rated.screened.problem, rated.candidate
-    z = refit(problem, rated.screened.z)
-    squares = problem.squares(z)
-    gain = null.squares - squares
-    rows = sum(part.size for part in problem.residuals(z))
-    left = max(squares - rows, 0.0) / gain if gain > 0 else 1.0
-    slack = float(np.clip(left, *criteria.IDEALISED_FORM))
-    return Rival(str(candidate.name), candidate.name, problem, z, candidate.variables, squares, slack)
+def _named(name: Name, model: CauseSet) -> Rival:
+    variables = sum(candidate.variables for candidate in model.candidates)
+    return Rival(str(name), name, model.base.problem, model.base.z, variables)
 
 
 _TOLERANCE = 1e-5
@@ -154,78 +140,52 @@ class Evidence:
     Attributes
     ----------
     squares
-        Expected sum of squared residuals, in units of the noise, that the other leaves.
-    gain
-        The same of the model without any effect: how far the truth shows at all.
-    dispersion
-        Of the noise, see `Rivals`.
-    price
-        Log likelihood that the truth has to earn first, for having more variables than its rival; negative if it has
-        fewer.
-    slack
-        Part of the gain that the truth's idealised form may lack, see `Rival`.
+        Expected sum of squared residuals, in units of the noise, that the other leaves of the trials.
+    samples
+        Number of residuals of these trials.
+    is_simpler
+        Whether the truth has fewer variables than its rival: of two that predict alike, the simpler one leads.
     """
 
     truth: str
     rival: str
     squares: float
-    gain: float
-    dispersion: float
-    price: float
-    slack: float
-
-    @property
-    def log_likelihood(self) -> float:
-        """Expected logarithm of the likelihood ratio."""
-        return 0.5 * self.squares / self.dispersion
+    samples: int
+    is_simpler: bool
 
     @property
     def sigma(self) -> float:
         """Standard deviations by which the wrong one, fitted to everything, would miss."""
-        return float(np.sqrt(max(2.0 * self.log_likelihood, 0.0)))
+        return float(np.sqrt(max(self.squares, 0.0)))
 
     @property
     def ratio(self) -> float:
-        """Expected log likelihood over what a diagnosis asks for before it names one of the two alone; above 1 it does.
-
-        Forms of effects are idealised: the more an effect shows, the larger the difference that counts. `TOLD_APART`
-        leaves room for errors of sizes and parameters.
-        """
-        softness = max(1.0, self.slack * 0.5 * self.gain / self.dispersion / 3.0)
-        return (self.log_likelihood - self.price) / (criteria.CLEARLY_LESS_LIKELY * softness)
+        """Expected difference of the log errors over the margin of the rule; above 1 the data would decide."""
+        return float(np.log1p(max(self.squares, 0.0) / max(self.samples, 1))) / criteria.MARGIN
 
     @property
     def told_apart(self) -> bool:
-        """Tell whether a diagnosis is expected to decide between the two."""
-        return self.ratio >= criteria.TOLD_APART
+        """Whether a diagnosis is expected to decide between the two."""
+        return self.is_simpler or self.ratio >= criteria.TOLD_APART
 
     @property
     def by_simplicity(self) -> bool:
-        """Tell whether the rival would explain it as well, and is dropped for having more parameters."""
-        return self.told_apart and self.sigma < criteria.CLEARLY_SEEN
+        """Whether the rival would explain it as well, and loses for having more parameters."""
+        return self.is_simpler and self.ratio < criteria.TOLD_APART
 
 
-def hopeless(evidence: Sequence[Evidence]) -> bool:
+def hopeless(pairs: Sequence[Evidence]) -> bool:
     """Tell whether trials say next to nothing of any pair."""
     return all(
-        one.sigma < criteria.VISIBLE_DIFFERENCE or one.ratio < criteria.HOPELESS_EVIDENCE for one in evidence
+        evidence.sigma < criteria.VISIBLE_DIFFERENCE or evidence.ratio < criteria.HOPELESS_EVIDENCE
+        for evidence in pairs
     )
 
 
-def _evidence(
-    rivals: Rivals, squares: Callable[[Rival, Rival], float], gain: Callable[[Rival], float]
-) -> list[Evidence]:
+def _evidence(rivals: Rivals, squares: Callable[[Rival, Rival], float], samples: int) -> list[Evidence]:
     """Return the evidence pair by pair as in `Rivals.pairs`, from what rivals leave of each other."""
     return [
-        Evidence(
-            truth.name,
-            other.name,
-            squares(truth, other),
-            0.0 if truth is rivals.null else gain(truth),
-            rivals.dispersion,
-            criteria.VARIABLE_PRICE * (max(truth.variables, 1) - max(other.variables, 1)),
-            truth.slack,
-        )
+        Evidence(truth.name, other.name, squares(truth, other), samples, truth.variables < other.variables)
         for truth, other in rivals.pairs
     ]
 
@@ -253,6 +213,7 @@ class Separation:
             for place, one in enumerate(everyone)
         }
         data = {one: planned_data(dataset, self.trials, self._predicted[one], repeats) for one in everyone}
+        self._samples = [predicted.size for predicted in self._predicted[rivals.null]]
         self._imitation, self._changes = dict[Rival, Imitation](), dict[tuple[Rival, Rival], Change]()
         for other in everyone:
             z = np.concatenate([other.shared, beginnings(other, self.trials).ravel()])
@@ -266,16 +227,12 @@ class Separation:
 
     def evidence(self, chosen: Sequence[int]) -> list[Evidence]:
         """Return what these trials of `trials` would say, pair by pair as in `Rivals.pairs`."""
-        null = self.rivals.null
 
         def squares(truth: Rival, other: Rival) -> float:
             return self._imitation[other].left(self._changes[truth, other], chosen)
 
-        return _evidence(
-            self.rivals,
-            squares,
-            lambda truth: max(null.squares - truth.squares, 0.0) + squares(truth, null),
-        )
+        samples = sum(self._samples[index] for index in chosen)
+        return _evidence(self.rivals, squares, samples)
 
     def doubt(self, index: int) -> float:
         """Return by how much less a trial's evidence is to be believed, as a factor of at least 1.
@@ -346,7 +303,8 @@ def rehearse(
     def squares(truth: Rival, other: Rival) -> float:
         return fitted_squares(truth, other, dataset, trials, repeats)
 
-    return _evidence(rivals, squares, lambda truth: squares(truth, rivals.null))
+    samples = sum(len(trial.time_s) for trial in trials) * len(dataset.outputs)
+    return _evidence(rivals, squares, samples)
 
 
 def fitted_squares(

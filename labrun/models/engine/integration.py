@@ -36,6 +36,10 @@ class System(NamedTuple):
         Coordinate, rate, load and stiffness of each site.
     scratch
         For `couple`; see `labrun.models.layout.Forces.scratch`.
+    inputs
+        Number of inputs.
+    drift : (2 * inputs,)
+        Slopes of the inputs in the present step, and room for inputs a moment ahead.
     """
 
     derivative: int
@@ -51,6 +55,8 @@ class System(NamedTuple):
     force: Pointer
     site: Pointer
     scratch: Pointer
+    inputs: int
+    drift: Pointer
 
 
 @kernel
@@ -61,6 +67,23 @@ def has_inertia(site: int, system: System) -> bool:
         if system.law_table[5 * e + 2] != 0:
             return True
     return False
+
+
+@kernel
+def _rate_at(
+    t: float, later_s: float, index: int, state: Pointer, u: Pointer, slope: Pointer, system: System,
+    ahead: Pointer, probe: Pointer,
+) -> float:  # fmt: skip
+    """Return the rate of a site a moment later, states and inputs moving on with their slopes."""
+    moved = offset(system.drift, system.inputs)
+    for k in range(system.total):
+        no_vectorise()
+        ahead[k] = state[k] + later_s * slope[k]
+    for k in range(system.inputs):
+        no_vectorise()
+        moved[k] = u[k] + later_s * system.drift[k]
+    call_model(system.site_values, t, ahead, moved, system.p, system.force, probe)
+    return probe[4 * index + 1]
 
 
 @kernel
@@ -81,16 +104,9 @@ def accelerations(
         if rate_state >= 0:
             result[index] = slope[rate_state]
             continue
-        for k in range(system.total):
-            no_vectorise()
-            ahead[k] = state[k] + _PROBE_S * slope[k]
-        call_model(system.site_values, t, ahead, u, system.p, system.force, probe)
-        forward = probe[4 * index + 1]
-        for k in range(system.total):
-            no_vectorise()
-            ahead[k] = state[k] - _PROBE_S * slope[k]
-        call_model(system.site_values, t, ahead, u, system.p, system.force, probe)
-        result[index] = (forward - probe[4 * index + 1]) / (2.0 * _PROBE_S)
+        forward = _rate_at(t, _PROBE_S, index, state, u, slope, system, ahead, probe)
+        backward = _rate_at(t, -_PROBE_S, index, state, u, slope, system, ahead, probe)
+        result[index] = (forward - backward) / (2.0 * _PROBE_S)
 
 
 @kernel
@@ -452,14 +468,19 @@ def integrate(
     """
     total, sites, count, inputs = state.size, site_table.shape[0], steps_s.size, u_last.size
     now, drive, work = pointer(state), pointer(u), pointer(scratch)
-    force = offset(work, 7 * total)
+    force, drift = offset(work, 7 * total), np.zeros(2 * inputs + 1)
     system = System(
         derivative, site_values, total, sites, law_table.shape[0], coupled,
         pointer(site_table), pointer(law_table), pointer(p), pointer(values),
-        force, offset(force, sites), offset(force, 5 * sites),
+        force, offset(force, sites), offset(force, 5 * sites), inputs, pointer(drift),
     )  # fmt: skip
     t, step, row = start_s, 0, 0
     while step <= count:
+        if coupled and step < count:
+            for k in range(inputs):
+                no_vectorise()
+                at = 3 * inputs * step + k
+                drift[k] = (drive[at + 2 * inputs] - drive[at]) / steps_s[step]
         begin = pointer(u_last) if step == count else offset(drive, 3 * inputs * step)
         loaded = False  # whether the forces for this step's beginning are known from its row
         if rows[row] == step:

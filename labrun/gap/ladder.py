@@ -1,0 +1,204 @@
+"""The answer read off the errors on unseen data: the ladder, what is left, the verdict, and all of it as a sentence."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labrun.estimate import significant
+from labrun.gap import criteria
+from labrun.gap.diagnosis import Cause, Name, Rest, Rung, Shrinkage, Sizes, Verdict
+from labrun.gap.evidence import Units, UnseenError
+from labrun.gap.learnable import dependence, learnable_share
+from labrun.gap.noise import Noise
+from labrun.gap.pipeline import Search
+from labrun.gap.selection import CauseSet
+
+
+def ladder_of(search: Search, outputs: Sequence[str]) -> tuple[Rung, ...]:
+    """Return the error on unseen data as stated, recalibrated, and with each cause in turn."""
+    selection = search.selection
+
+    def rung(step: str, cause: Name | None, error: UnseenError, closes: float) -> Rung:
+        errors = dict(zip(outputs, map(float, error.rms), strict=True))
+        return Rung(step, cause, errors, error.in_noise, closes)
+
+    rungs = [
+        rung("as stated", None, search.stated, 0.0),
+        rung("recalibrated", None, selection.reference.error, 0.0),
+    ]
+    for cause, model in zip(selection.chosen, selection.steps[1:], strict=True):
+        rungs.append(rung(f"+ {cause.name.words}", cause.name, model.error, cause.closes))
+    return tuple(rungs)
+
+
+def sizes_of(search: Search) -> Sizes:
+    """Return the gap as stated, recalibrated and with the causes, in units of one trial's noise.
+
+    Without causes the recalibrated gap is that of the data the fit has seen: extrapolated parameters add to the other.
+    """
+    selection = search.selection
+    stated, recalibrated = search.stated.in_noise, selection.reference.error.in_noise
+    if not selection.chosen:
+        return Sizes(stated, search.recalibrated.gap, search.recalibrated.gap, search.floor)
+    return Sizes(stated, recalibrated, selection.error.in_noise, search.floor)
+
+
+def shrinkage_of(search: Search, rng: np.random.Generator) -> Shrinkage | None:
+    """Return the share of the squared gap that the causes remove of unseen data, with a 90 % interval over units."""
+    selection = search.selection
+    if not selection.chosen:
+        return None
+    before, after = selection.reference.error, selection.error
+    floor = np.mean([search.noise.mean_floor(trial.group, trial.count) for trial in search.data.trials])
+    then, now = (np.exp(error.log) - (floor if search.noise.known else 0.0) for error in (before, after))
+    value = 1.0 - after.excess.total / before.excess.total if before.excess.total > 0.0 else 0.0
+    count = len(then)
+    drawn = rng.integers(0, count, (criteria.RESAMPLES, count))
+    whole = np.sum(then[drawn], axis=1)
+    shares = 1.0 - np.sum(now[drawn], axis=1)[whole > 0.0] / whole[whole > 0.0]
+    low, high = np.percentile(shares, [5.0, 95.0]) if shares.size else (value, value)
+    return Shrinkage(min(value, 1.0), float(min(low, value)), float(min(max(high, value), 1.0)))
+
+
+def rest_of(search: Search, model: CauseSet, *, ask: bool) -> Rest:
+    """Describe what a model leaves.
+
+    Parameters
+    ----------
+    ask
+        Whether to ask what of it is predictable; that takes a regression.
+    """
+    gap, left = search.selection.reference.error.in_noise, model.error.in_noise
+    if model is search.selection.reference:
+        left = search.recalibrated.gap
+    within = search.noise.known and left <= search.floor
+    share = left / gap if gap > 0.0 and model is not search.selection.reference else 1.0
+    followed = any(output.followed for output in search.model.outputs)
+    if within or followed or not ask:
+        return Rest(left, share, within_noise=within)
+    problem, z = model.base.problem, model.base.z
+    predictable = learnable_share(problem, z)
+    signals = dependence(problem, z, predictable) if predictable >= criteria.LEARNABLE else ()
+    return Rest(left, share, predictable, signals)
+
+
+def verdict_of(search: Search, causes: Sequence[Cause], rest: Rest) -> Verdict:
+    """Read the verdict off the ladder."""
+    if causes:
+        if rest.within_noise or rest.share_of_gap < criteria.EXPLAINED_REST:
+            return "explained"
+        return "mostly-explained" if rest.share_of_gap < criteria.MOSTLY_REST else "partly-explained"
+    if rest.within_noise:
+        return "no-gap"
+    if search.noise.known or (rest.predictable or 0.0) >= criteria.LEARNABLE:
+        return "unexplained"
+    return "cannot-tell"
+
+
+def sentence_of(
+    verdict: Verdict, sizes: Sizes, causes: Sequence[Cause], rest: Rest, differs: Sequence[str], noise: Noise
+) -> str:
+    """Return the answer as one sentence, behind one on what differs by trial."""
+    unit = "the noise of one trial" if noise.known else "the sensor's noise"
+    recalibrated = significant(sizes.recalibrated)
+    if causes:
+        shares = [f"{cause.name.words} {_closes(cause)}" for cause in causes]
+        text = f"{' and '.join(shares)}; {_rest_words(rest, unit)}"
+    elif verdict == "no-gap":
+        helps = sizes.raw > sizes.floor and sizes.raw > sizes.recalibrated
+        text = (
+            f"no gap beyond noise: after recalibration model and measurement differ by {recalibrated} times {unit}, "
+            f"and noise alone leaves up to {significant(sizes.floor)}"
+            + (f"; as stated, the model was {significant(sizes.raw)} times {unit} off" if helps else "")
+        )
+    else:
+        text = (
+            "no cause in the library improves the prediction of data that the fit has not seen; "
+            + _rest_words(rest, unit)
+        )
+    text = f"{text[:1].upper()}{text[1:]}."
+    if not differs:
+        return text
+    first = " and ".join(differs)
+    return f"{first[:1].upper()}{first[1:]}. Beside that: {text[:1].lower()}{text[1:]}"
+
+
+def _closes(cause: Cause) -> str:
+    if cause.closes < criteria.SHARE_OF_GAP <= cause.returns:
+        return "helps together with the next cause only"
+    return f"closes {100 * cause.closes:.0f} % of the gap"
+
+
+def _rest_words(rest: Rest, unit: str) -> str:
+    size = f"{significant(rest.in_noise)} times {unit}"
+    if rest.within_noise:
+        return f"the rest ({size}) is within the noise"
+    share = (
+        f"{100 * rest.share_of_gap:.0f} % of the gap ({size}) is left"
+        if rest.share_of_gap < 1.0
+        else f"{size} is left"
+    )
+    if rest.predictable is None:
+        return share
+    depends = f" from {' and '.join(rest.depends_on)}" if rest.depends_on else " from motion and inputs"
+    return f"{share}, of which {100 * rest.predictable:.0f} % is predictable{depends}"
+
+
+def limitations_of(search: Search) -> list[str]:
+    """Return what the data do not allow to say."""
+    data, noise = search.data, search.noise
+    conditions, sentences = len(data.conditions), []
+    if len(search.dataset.trials) == 1:
+        sentences.append(
+            "One trial only: nothing was repeated, and only blocks of its time could be withheld."
+        )
+    if noise.basis == "residual":
+        sentences.append(
+            "No condition was repeated: how much of what is left is noise is not known. A cause is named where it "
+            "improves the prediction of data that the fit has not seen."
+        )
+    elif noise.basis == "stated":
+        sentences.append(
+            "No condition was repeated: the noise is the reading error that the recording states. A gap smaller than "
+            "that is not seen, and an error stated too small makes noise a gap."
+        )
+    elif data.repeats < 3 and noise.freedom < criteria.ENOUGH_FREEDOM:
+        several = "s" if data.repeats > 1 else ""
+        sentences.append(
+            f"Only {data.repeats} repeat{several} of some conditions: the noise floor is uncertain; three or more "
+            "determine it better."
+        )
+    if conditions == 1:
+        sentences.append(
+            "One condition only: blocks of time were withheld; the data do not show what another condition would."
+        )
+    elif conditions < 4:
+        sentences.append(f"{conditions} conditions only: the errors on unseen conditions rest on few.")
+    if search.dataset.left_out:
+        sentences.append(f"{search.dataset.left_out} rejected or failed trials were left out.")
+    return sentences
+
+
+def next_steps(verdict: Verdict, causes: Sequence[Cause], rest: Rest, repeats: int) -> list[str]:
+    """Return what to do now, in sentences."""
+    steps = []
+    doubtful = [cause for cause in causes if cause.rivals]
+    for cause in doubtful:
+        rivals = " or ".join(name.words for name in cause.rivals[:3])
+        steps.append(
+            f"These data do not separate {cause.name.words} from {rivals}: labrun gap next proposes the experiment "
+            "that does."
+        )
+    if causes and not doubtful:
+        steps.append(
+            "labrun gap test MODEL --fresh RUN measures how well the corrected model (--save-model FILE) predicts new "
+            "data."
+        )
+    if verdict in ("partly-explained", "unexplained") and rest.predictable:
+        steps.append(
+            "labrun gap diagnose --explain-rest proposes a law for the rest; an effect of that form can be added as a "
+            "plugin."
+        )
+    if verdict in ("no-gap", "cannot-tell") and repeats < 3:
+        steps.append("Repeat every condition three times or more: a smaller gap becomes visible.")
+    return steps
