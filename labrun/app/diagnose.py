@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.text import Text
 
 from labrun.app.kept import FOLDER, as_texts, keep, kept_folder, read_stored
+from labrun.app.progress_log import logged, progress_file
 from labrun.app.question import ask
 from labrun.errors import RequestError
 from labrun.fit import Note, silent
@@ -53,6 +54,11 @@ class StoredDiagnosis:
     law: Path | None = None
 
     @property
+    def was_interrupted(self) -> bool:
+        """Whether Ctrl-C ended the search with its best answer so far."""
+        return self.diagnosis.stopped == "interrupted"
+
+    @property
     def warning(self) -> str:
         """What to know before using the saved model; "" where there is nothing, or no model was saved."""
         return "" if self.model is None else _warning(self.model, self.diagnosis.to_json())
@@ -86,6 +92,7 @@ def diagnose(
     more: Sequence[str | Path] = (),
     signals: Mapping[str, str] | None = None,
     withhold: Sequence[str] = (),
+    within_s: float | None = None,
     seed: int | None = None,
     workers: int | None = None,
     save_model: Path | None = None,
@@ -107,6 +114,8 @@ def diagnose(
         Which recorded channel is which input or output of the model; adds to the experiment's own.
     withhold
         Effects that the library is to be without.
+    within_s
+        Time after which the search ends with the best answer so far; no limit if None.
     seed
         0 if None, so that the same data give the same numbers.
     save_model
@@ -127,7 +136,8 @@ def diagnose(
     further = [find_data(one, results) for one in more]
     if save_model is not None:
         require_new(save_model)
-    require_writable(kept_folder(folder, results, FOLDER), "the diagnosis")
+    where = kept_folder(folder, results, FOLDER)
+    require_writable(where, "the diagnosis")
     began = time.perf_counter()
     note(f"reading {folder}")
     question = ask(folder, model, further, signals, workspace)
@@ -136,11 +146,13 @@ def diagnose(
         withhold=tuple(withhold),
         workers=workers or cores(),
         explain_rest=explain_rest,
+        within_s=float("inf") if within_s is None else within_s,
     )
-    found = diagnose_dataset(question.dataset, question.model, options, note=note, began=began)
+    with logged(note, progress_file(where)) as both:
+        found = diagnose_dataset(question.dataset, question.model, options, note=both, began=began)
     diagnosis = replace(found, source=str(folder))
     note("writing the report" if page else "storing the diagnosis")
-    stored = store(diagnosis, folder, results, page=page, source=question.model.source)
+    stored = store(diagnosis, where, page=page, source=question.model.source)
     if diagnosis.law is not None and diagnosis.law.terms:
         law = stored.numbers.with_name(LAW)
         save_with_law(diagnosis, question.model.source, law, stored.numbers.with_name(LAW_MODEL))
@@ -188,7 +200,7 @@ def save(
 
 
 def store(
-    diagnosis: Diagnosis, target: Path, results: Path, *, page: bool = True, source: str | Path | None = None
+    diagnosis: Diagnosis, folder: Path, *, page: bool = True, source: str | Path | None = None
 ) -> StoredDiagnosis:
     """Write ``diagnosis.json`` and, if asked for, the page and its picture.
 
@@ -196,12 +208,10 @@ def store(
     ----------
     diagnosis
         What was found.
-    target
-        The run folder, run.h5 or recording folder it is of. A run keeps it in its own folder ``gap``, an earlier one in
+    folder
+        Where it is kept, as `kept_folder` returns it. A run keeps it in its own folder ``gap``, an earlier one in
         ``gap-1``, ``gap-2`` and so on, the oldest first; that of a recording goes to
         ``results/<experiment>/gap-<time>``, by the name that it states.
-    results
-        Folder of the runs.
     source
         Where the model came from, for a later `save`.
 
@@ -217,7 +227,6 @@ def store(
 
         return diagnosis_page(diagnosis), diagnosis_figure(diagnosis)
 
-    folder = kept_folder(target, results, FOLDER)
     return StoredDiagnosis(diagnosis, *keep(folder, diagnosis.to_json(), source, drawn if page else None))
 
 

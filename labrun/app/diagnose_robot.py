@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from labrun.app.kept import FOLDER, as_texts, keep, kept_folder
+from labrun.app.progress_log import logged, progress_file
 from labrun.app.question import ask
 from labrun.fit import Dataset, Note, silent
 from labrun.gap import Options, RobotDiagnosis, diagnose_robot, require_new, why_not
@@ -30,6 +31,11 @@ class StoredRobotDiagnosis:
     figure: Path | None = None
     model: Path | None = None
     warning: str = ""
+
+    @property
+    def was_interrupted(self) -> bool:
+        """Whether Ctrl-C ended the search at any joint with its best answer so far."""
+        return any(joint.diagnosis.stopped == "interrupted" for joint in self.diagnosis.joints)
 
     def to_text(self) -> list[str]:
         """Return a line a joint, and what to open."""
@@ -71,6 +77,7 @@ def diagnose_joints(
     target: str | Path,
     *,
     withhold: Sequence[str] = (),
+    within_s: float | None = None,
     seed: int | None = None,
     workers: int | None = None,
     save_model: Path | None = None,
@@ -86,6 +93,8 @@ def diagnose_joints(
         A recording folder that `import_log` made of a robot's log.
     withhold
         Effects that the library is to be without.
+    within_s
+        Time after which every joint ends with its best answer so far; no limit if None.
     save_model
         Where the corrected model of the whole robot goes.
     page
@@ -103,9 +112,15 @@ def diagnose_joints(
     where = kept_folder(folder, results, FOLDER)
     require_writable(where, "the diagnosis")
     question = ask(folder, None)
-    options = Options(seed=seed or 0, withhold=tuple(withhold), workers=workers or cores())
+    options = Options(
+        seed=seed or 0,
+        withhold=tuple(withhold),
+        workers=workers or cores(),
+        within_s=float("inf") if within_s is None else within_s,
+    )
     robot = robot_of(folder, question.dataset)
-    found = diagnose_robot(robot, question.model, question.dataset, options, note=note)
+    with logged(note, progress_file(where)) as both:
+        found = diagnose_robot(robot, question.model, question.dataset, options, note=both)
     found = replace(found, source=str(folder), remarks=(*robot.remarks, *found.remarks))
     note("writing the report" if page else "storing the diagnosis")
 

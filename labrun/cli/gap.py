@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from labrun.cli import blind, options
-from labrun.cli.output import print_json, print_result, reported, status
+from labrun.cli.output import INTERRUPTED, print_json, print_result, reported, status
 
 gap = typer.Typer(
     name="gap",
@@ -98,12 +98,12 @@ def diagnose(
             autocompletion=_effect_ids,
         ),
     ] = None,
-    full_guard: Annotated[
-        bool,
+    within: Annotated[
+        str | None,
         typer.Option(
-            "--full-guard", help="Refit every simulated false alarm instead of estimating it: minutes."
+            metavar="TIME", help="End with the best answer so far after this time, such as 5min or 90s."
         ),
-    ] = False,
+    ] = None,
     save_model: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the corrected model.", dir_okay=False)
     ] = None,
@@ -152,7 +152,7 @@ def diagnose(
             target = str(made.folder)
             if not as_json:
                 typer.echo(made.to_text(), err=True)
-        apart = not (whole or model or more or full_guard or explain_rest)
+        apart = not (whole or model or more or explain_rest)
         why_together = joint_by_joint(target, results) if apart else None
         if why_together and log is not None and not as_json:
             typer.echo(f"not joint by joint: {why_together}", err=True)
@@ -160,13 +160,15 @@ def diagnose(
         with status() as note:
             if why_together == "":
                 stored = diagnose_joints(
-                    target, withhold=withhold or (), seed=seed, workers=workers, save_model=save_model,
+                    target, withhold=withhold or (), within_s=options.seconds(within), seed=seed, workers=workers,
+                    save_model=save_model,
                     page=report, results=results, note=note,
                 )  # fmt: skip
             else:
                 stored = diagnose_target(
-                    target, model=model, more=more or (), withhold=withhold or (), full_guard=full_guard,
-                    seed=seed, workers=workers, save_model=save_model, explain_rest=explain_rest,
+                    target, model=model, more=more or (), withhold=withhold or (),
+                    within_s=options.seconds(within), seed=seed, workers=workers,
+                    save_model=save_model, explain_rest=explain_rest,
                     page=report, results=results, note=note,
                 )  # fmt: skip
         if as_json:
@@ -179,6 +181,8 @@ def diagnose(
                 console.print(line, soft_wrap=True)
         if stored.warning:
             typer.echo(f"labrun: {stored.warning}", err=True)
+        if stored.was_interrupted:
+            raise typer.Exit(INTERRUPTED)
 
 
 def save(

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit import Each, Note, OutputNoise, Problem, one_by_one
+from labrun.fit import Note, OutputNoise, Problem
 from labrun.gap import criteria, ladder
 from labrun.gap.cause_table import candidate_table, causes_of
 from labrun.gap.diagnosis import ComparedTrace, Diagnosis, MissingForce, Place
@@ -99,7 +99,6 @@ def conclude(
     elapsed_s: Callable[[], float],
     places: bool,
     note: Note,
-    each: Each = one_by_one,
 ) -> Diagnosis:
     """Put the result of a search into a diagnosis.
 
@@ -126,7 +125,7 @@ def conclude(
 
         note("looking where the gap is")
         difference = difference_of(search)
-        found = find_places(difference, rng, note=note, each=each)
+        found = find_places(difference, rng, note=note)
         if decided in ("partly-explained", "unexplained"):
             missing = missing_forces(difference)
     channels = tuple((output.name, output.unit) for output in dataset.outputs)
@@ -171,7 +170,7 @@ def conclude(
         seconds=elapsed_s(),
         ladder=ladder.ladder_of(search, [name for name, _ in channels]),
         rest=rest,
-        complete=selection.complete,
+        stopped=selection.stopped,
     )
 
 

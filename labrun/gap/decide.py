@@ -6,7 +6,7 @@ by a fit that has not seen it. Everything here is arithmetic on such tables: not
 
 1. `beats`: a model replaces a simpler one if its mean log error is lower by more than one standard error over the
    units and a margin of practical size.
-2. `leader`: among candidates within one standard error of the best, the simplest leads; the others are its rivals.
+2. `leader`: among candidates that the best one does not beat, the simplest leads; the others are its rivals.
 3. `win_frequencies`: how often each candidate wins when the units are resampled and steps 1 and 2 repeated.
 
 The one-standard-error rule: Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984), section
@@ -63,24 +63,14 @@ def beats(after: FloatArray, before: FloatArray, strata: IntArray) -> bool:
 
 
 def near_best(errors: FloatArray, strata: IntArray) -> IntArray:
-    """Return the rows of a table (candidates, units) within one standard error of the best (rule 2), the best first.
-
-    Differences below half of the practical margin are none.
-    """
+    """Return the rows of a table (candidates, units) that the best one does not beat (rule 2), the best first."""
     order = np.argsort(np.mean(errors, axis=1), kind="stable")
     best = errors[order[0]]
-
-    def is_near(row: int) -> bool:
-        difference = compare(errors[row], best, strata)
-        return difference.mean <= max(
-            criteria.STANDARD_ERRORS * difference.standard_error, criteria.MARGIN / 2
-        )
-
-    return np.array([row for row in order if row == order[0] or is_near(row)])
+    return np.array([row for row in order if row == order[0] or not beats(best, errors[row], strata)])
 
 
 def leader(errors: FloatArray, complexity: Sequence[tuple[int, ...]], strata: IntArray) -> int:
-    """Return the row that leads: the simplest of those within one standard error of the best (rule 2).
+    """Return the row that leads: the simplest of those that the best one does not beat (rule 2).
 
     Parameters
     ----------

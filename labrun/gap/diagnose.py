@@ -92,7 +92,6 @@ def diagnose_dataset(
             elapsed_s=lambda: time.perf_counter() - start,
             places=options.places,
             note=note,
-            each=each,
         )
         if not options.explain_rest:
             return diagnosis

@@ -277,7 +277,7 @@ class Cause:
     indistinguishable_from
         Its first rival, or nothing.
     rivals
-        All candidates that do as well in its place by the rule, those that win most often first.
+        All candidates that do as well in its place by the rule, the best first.
     refers_to
         What the values refer to: an exponent, a reference speed; held, so without an interval.
     remark
@@ -413,8 +413,8 @@ class Diagnosis:
         What the causes leave.
     law
         A law for it, where one was asked for.
-    complete
-        Whether the search ended by itself; False where it was interrupted or its time was over.
+    stopped
+        Why the search ended early with its best answer so far: "interrupted" or "time"; "" where it ended by itself.
     """
 
     name: str
@@ -448,7 +448,12 @@ class Diagnosis:
     ladder: tuple[Rung, ...]
     rest: Rest
     law: RestLaw | None = None
-    complete: bool = True
+    stopped: str = ""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the search ended by itself."""
+        return not self.stopped
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap diagnose --json`` prints."""
@@ -493,6 +498,7 @@ class Diagnosis:
             "seed": self.seed,
             "seconds": round(self.seconds, 2),
             "complete": self.complete,
+            "stopped": self.stopped,
             "ladder": [rung.to_json(dict(self.channels)) for rung in self.ladder],
             "rest": {**self.rest.to_json(), **({} if self.law is None else {"law": self.law.to_json()})},
         }

@@ -7,7 +7,7 @@ import numpy as np
 from labrun.estimate import significant
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Cause, Name, Rest, Rung, Shrinkage, Sizes, Verdict
-from labrun.gap.evidence import Units, UnseenError
+from labrun.gap.evidence import UnseenError
 from labrun.gap.learnable import dependence, learnable_share
 from labrun.gap.noise import Noise
 from labrun.gap.pipeline import Search

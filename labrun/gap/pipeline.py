@@ -157,7 +157,7 @@ def _in_wells(asked: "_Asked", found: Search) -> Search | None:
     Only where what is left plainly comes back so, and where the search finds that force then.
     """
     final = found.selection.final
-    if found.selection.error.in_noise < criteria.LARGE_REMAINDER or not found.selection.complete:
+    if found.selection.error.in_noise < criteria.LARGE_REMAINDER or found.selection.stopped:
         return None
     growth = max((growth_in_wells(final.problem, final.z, one) for one in found.candidates), default=0.0)
     held = kept_in_wells(asked.clocks.dataset, found.model, growth) if growth > 0.0 else None
@@ -182,7 +182,7 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
     Causes come first: what they explain of the differences between trials is theirs. If none of them stands beside the
     deviations, these are found again without them.
     """
-    if first.noise.known or not found.selection.complete:
+    if first.noise.known or found.selection.stopped:
         return found
     final = found.selection.final
     for problem, z in ((final.problem, final.z), (first.problem, first.z)):

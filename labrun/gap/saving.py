@@ -123,7 +123,7 @@ def require_new(path: Path) -> None:
 
 def recalibrated_only(diagnosis: Mapping[str, Any]) -> bool:
     """Tell whether a gap remains that nothing corrects: parameters then imitate what is missing."""
-    return bool(diagnosis["verdict"] == "not-in-library")
+    return not diagnosis["causes"]
 
 
 def _remarks(diagnosis: Mapping[str, Any]) -> list[str]:

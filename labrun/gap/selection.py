@@ -110,7 +110,7 @@ class Chosen:
     Attributes
     ----------
     rivals
-        Sets in which another candidate takes its place and does as well by the rule, most frequent winners first.
+        Sets in which another candidate takes its place and does as well by the rule, the best first.
     without
         The model with all the other causes, fitted again.
     closes, returns
@@ -133,7 +133,7 @@ class Chosen:
 
     @property
     def rival_names(self) -> tuple[Name, ...]:
-        """Names of its rivals, most frequent winners first."""
+        """Names of its rivals, the best first."""
         return tuple(rival.candidates[-1].name for rival in self.rivals)
 
 
@@ -151,8 +151,8 @@ class Selection:
         All candidates beside no cause, and beside all causes. None where nothing was searched.
     judged
         Candidates that were promising enough to be judged on unseen data, beside any set of causes.
-    complete
-        Whether the search ended by itself; False where it was interrupted or its time was over.
+    stopped
+        Why the search ended early, "interrupted" or "time"; "" where it ended by itself.
     """
 
     reference: CauseSet
@@ -161,7 +161,7 @@ class Selection:
     first: Table | None
     last: Table | None
     judged: frozenset[Name] = frozenset()
-    complete: bool = True
+    stopped: str = ""
 
     @property
     def final(self) -> Base:
@@ -204,17 +204,17 @@ class Selector:
         """Search forward, backward and by exchange, and return the causes with their rivals."""
         if not self.candidates or self._is_explained(self.reference):
             return Selection(self.reference, (self.reference,), (), None, None)
-        complete = True
+        stopped = ""
         try:
             self._forward()
             self._exchange()
-        except (KeyboardInterrupt, TimeOver):
-            complete = False
-            self.progress.note("stopped early: reporting the best answer so far")
+        except (KeyboardInterrupt, TimeOver) as reason:
+            stopped = "time" if isinstance(reason, TimeOver) else "interrupted"
+            self.progress.note("stopped early: preparing the best answer so far")
         chosen, steps = self._described(self._best)
         judged = {candidate.name for table in self._tables.values() for candidate in table.judged}
         first, last = self._tables.get(self.reference.forms), self._tables.get(self._best.forms)
-        return Selection(self.reference, steps, chosen, first, last, frozenset(judged), complete)
+        return Selection(self.reference, steps, chosen, first, last, frozenset(judged), stopped)
 
     def closes(self, before: UnseenError, after: UnseenError) -> float:
         """Return the share of the gap (root mean square) that a step from one model to another closes."""
@@ -321,7 +321,6 @@ class Selector:
                 without.error.log, table, [entry.complexity for entry in entries], strata, self._drawn
             )
             near = [int(row) for row in decide.near_best(table, strata) if row != 0]
-            near.sort(key=lambda row: (-wins[row], entries[row].error.mean))
             confidence = float(wins[0] + (wins[near[0]] if near else 0.0))
             returns = self.closes(without.error, best.error)
             rivals = tuple(entries[row] for row in near)

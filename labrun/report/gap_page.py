@@ -11,10 +11,11 @@ from labrun.report.figures.gap_traces import force_figure, shown_traces, traces_
 from labrun.report.gap_words import (
     HEADLINES,
     VERDICTS,
-    bound_words,
     hot_spots,
     place_words,
     ranked,
+    status_words,
+    times_noise,
     value_words,
 )
 from labrun.report.page import PageFigure, PageTable, drawn, render
@@ -37,10 +38,10 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
 def diagnosis_context(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return what the template ``gap.html.j2`` tells of."""
     every = ranked(diagnosis.candidates)
-    first = max(_SHOWN, sum(one.verdict in ("cause", "indistinguishable") for one in every))
+    first = max(_SHOWN, sum(one.verdict in ("cause", "rival") for one in every))
     parameters = parameter_table(diagnosis)
     links = [
-        ("where", "where"), ("which", "which cause"), ("far", "how far"),
+        ("ladder", "errors"), ("which", "causes"), ("rest", "the rest"), ("where", "where"),
         ("next", "what next" if diagnosis.what_next else ""),
         ("limits", "limitations" if diagnosis.limitations else ""),
         ("recalibration", "parameters" if parameters.rows else ""),
@@ -69,11 +70,27 @@ def diagnosis_context(diagnosis: Diagnosis) -> dict[str, Any]:
             _candidate(one, rank) for rank, one in enumerate(every[first:], start=first + 1)
         ],
         "how_far": drawn(lambda: how_far_figure(diagnosis), "far", _ALT_FAR),
+        "ladder": _ladder(diagnosis),
         "parameters": parameters,
         "noise": _noise(diagnosis),
         "inputs": ", ".join(with_unit(spaced(name), unit) for name, unit in diagnosis.input_channels)
         or "none",
     }
+
+
+def _ladder(diagnosis: Diagnosis) -> PageTable:
+    """Return the error on unseen data as stated, recalibrated and with each cause in turn; a column per output."""
+    outputs = [with_unit(spaced(name), unit) for name, unit in diagnosis.channels]
+    rows = [
+        [
+            rung.step,
+            *(number(rung.errors[name], 3) for name, _ in diagnosis.channels),
+            times_noise(rung.in_noise),
+            "" if rung.cause is None else percent(rung.closes),
+        ]
+        for rung in diagnosis.ladder
+    ]
+    return PageTable(("model", *outputs, "times the noise", "closes of the gap"), rows, words=(0,))
 
 
 def _places(diagnosis: Diagnosis) -> PageTable:
@@ -109,31 +126,29 @@ def _force(missing: MissingForce) -> PageFigure | None:
 
 
 def _tally(every: Sequence[RatedCandidate]) -> str:
-    counts = {verdict: sum(one.verdict == verdict for one in every) for verdict in VERDICTS}
+    counts = {verdict: sum(row.verdict == verdict for row in every) for verdict in VERDICTS}
     words = {
-        "cause": "asked for by the data",
-        "indistinguishable": "that would explain them as well",
-        "ruled-out": "ruled out",
-        "not-visible": "that these data could not show",
+        "cause": "needed by the data",
+        "rival": "that do as well in the place of a cause",
+        "not-needed": "not needed",
+        "excluded": "not needed, and excluded above a size",
+        "not-visible": "not visible in these data",
     }
-    told = [f"{count} {words[verdict]}" for verdict, count in counts.items() if count]
+    parts = [f"{count} {words[verdict]}" for verdict, count in counts.items() if count]
     if not counts["cause"]:
-        told.insert(0, "none asked for by the data")
-    return f"{len(every)} candidates: {listed(told)}."
+        parts.insert(0, "none needed by the data")
+    return f"{len(every)} candidates: {listed(parts)}."
 
 
-def _candidate(one: RatedCandidate, rank: int) -> Mapping[str, Any]:
-    same = listed([name.words for name in one.same_as], "or")
-    parts = bound_words(one.upper_bound) if one.verdict == "ruled-out" else []
-    parts = parts or ([] if one.verdict == "not-visible" else value_words(one.values))
+def _candidate(row: RatedCandidate, rank: int) -> Mapping[str, Any]:
+    parts = value_words(row.values) if row.verdict == "cause" else []
     return {
         "rank": rank,
-        "name": one.name.words,
-        "is_cause": one.verdict == "cause",
-        "verdict": VERDICTS[one.verdict] + (f"; cannot be told from {same}" if same else ""),
-        "share": one.held_out_share,
-        "evidence": number(one.evidence, 2),
-        "size": "; ".join([*parts, one.remark] if one.remark else parts),
+        "name": row.name.words,
+        "is_cause": row.verdict == "cause",
+        "verdict": status_words(row),
+        "closes": row.closes,
+        "size": "; ".join([*parts, row.remark] if row.remark else parts),
     }
 
 

@@ -1,6 +1,7 @@
 """What `labrun gap` says in a terminal: a diagnosis in at most 20 lines, and the answers of the commands beside it."""
 
 import textwrap
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,21 +14,20 @@ from labrun.gap import (
     FreshTest,
     Name,
     Prediction,
-    RatedCandidate,
     ResampledNumber,
     UnitComparison,
     UnitDifference,
 )
 from labrun.gap.next import TrialPlan
 from labrun.report.gap_words import (
-    VERDICTS,
-    bound_words,
+    HEADLINES,
+    closes_words,
     data_words,
     estimate_words,
     hot_spots,
-    ranked,
-    removes_words,
-    times_noise,
+    ladder_lines,
+    reference_words,
+    rest_words,
     value_words,
 )
 from labrun.report.text import (
@@ -49,54 +49,72 @@ _HEAD_LINES = 5
 _MARGIN = 9
 _NARROWEST = 40
 _LEAST_FOR_SENTENCES = 1
-_RIVALS = 2
+_RIVALS, _LADDERS = 3, 3
 _FAR_OPEN = 100.0
 """Times its value from which the end of an interval says nothing but that the data say nothing."""
 _CUT = " \u2026"
 
 
 def gap_lines(diagnosis: Diagnosis, width: int, files: Mapping[str, Path] | None = None) -> list[Text]:
-    """Return a diagnosis as at most 20 lines.
+    """Return a diagnosis as at most 20 lines: the answer, the ladder of errors, the causes, and the rest.
 
-    `diagnosis`: what was found. `width`: columns of the terminal; no line but a path is longer. `files`: what was
-    written, by a word for it; a line each, three at most.
+    Parameters
+    ----------
+    width
+        Columns of the terminal; no line but a path is longer.
+    files
+        What was written, by a word for it; a line each, three at most.
     """
     width = max(width, _NARROWEST)
     room = width - _MARGIN
     head = _fitted([diagnosis.sentence], width, _HEAD_LINES)
-    fixed = [("gap", _gap(diagnosis, room)), ("where", [_cut(line, room) for line in _where(diagnosis)])]
-    if diagnosis.rest is not None:
-        fixed.append(("rest", _fitted([diagnosis.rest.sentence], room, 3)))
+    if not diagnosis.complete:
+        head.append(_cut("Stopped early: this is the best answer so far.", width))
+    fixed = [
+        ("error", _fitted(ladder_lines(diagnosis)[:_LADDERS], room, 2 * _LADDERS)),
+        ("causes", _causes(diagnosis, room)),
+        ("rest", _fitted([rest_words(diagnosis)], room, 2)),
+    ]
+    if diagnosis.law is not None:
+        fixed.append(("law", _fitted([diagnosis.law.sentence], room, 3)))
     written = [(label, [str(path)]) for label, path in (files or {}).items()]
     data = [
         _cut(f"{data_words(diagnosis)}; {short_time_text(diagnosis.seconds)}, seed {diagnosis.seed}", room)
     ]
     left = MOST_LINES - len(head) - sum(len(lines) for _, lines in fixed) - len(written) - len(data)
-    which = _which(diagnosis, room, left - 2 * _LEAST_FOR_SENTENCES)
-    limits, then = _shared(diagnosis, room, left - len(which))
-    sections = [*fixed, ("which", which), ("limits", limits), ("next", then), ("data", data), *written]
+    where = [_cut(line, room) for line in _where(diagnosis)][: max(min(3, left - 3), 0)]
+    others = _others(diagnosis, room) if left - len(where) > 2 * _LEAST_FOR_SENTENCES else []
+    limits, then = _shared(diagnosis, room, left - len(where) - len(others))
+    sections = [
+        *fixed, ("others", others), ("where", where), ("limits", limits), ("next", then), ("data", data), *written,
+    ]  # fmt: skip
     lines = [Text(line, style="bold") for line in head]
     for label, body in sections:
-        for place, line in enumerate(body):
-            text = Text(f"{label if place == 0 else '':<{_MARGIN}}", style="dim")
+        for index, line in enumerate(body):
+            text = Text(f"{label if index == 0 else '':<{_MARGIN}}", style="dim")
             lines.append(text.append(line, style="not dim"))
     return lines
 
 
-def _gap(diagnosis: Diagnosis, room: int) -> list[str]:
-    gap, share = diagnosis.gap, diagnosis.shrinkage
-    steps = f"{times_noise(gap.raw)} as stated > {times_noise(gap.recalibrated)} recalibrated"
-    if diagnosis.causes:
-        steps += f" > {times_noise(gap.after)} with the cause{'s' * (len(diagnosis.causes) > 1)}"
-    steps += f"; noise floor {times_noise(gap.floor)}"
-    lines = [_first_that_fits([f"{steps} (noise of one trial = 1)", steps], room)]
-    if share is not None and diagnosis.causes:
-        unseen = "unseen conditions" if diagnosis.conditions > 1 else "withheld blocks of time"
-        ends = f"{percent(share.low)} to {percent(share.high)}"
-        lines.append(_cut(f"{percent(share.value)} of it closes on {unseen} (90 % interval {ends})", room))
-    if diagnosis.learnable is not None:
-        lines.append(_cut(diagnosis.learnable.sentence, room))
+def _causes(diagnosis: Diagnosis, room: int) -> list[str]:
+    """Return each cause with its sizes, its share of the gap and its rivals, on at most three lines."""
+    lines = []
+    for cause in diagnosis.causes:
+        values = "; ".join(value_words(cause.values))
+        parts = [f"{cause.name.words}{': ' + values if values else ''} {reference_words(cause)}".rstrip()]
+        parts.append(closes_words(cause))
+        if cause.rivals:
+            parts.append(f"rivals: {listed([name.words for name in cause.rivals[:_RIVALS]])}")
+        lines += _fitted(["; ".join(parts)], room, 3)
     return lines
+
+
+def _others(diagnosis: Diagnosis, room: int) -> list[str]:
+    """Return how many other candidates became what."""
+    counts = Counter(row.verdict for row in diagnosis.candidates if row.verdict != "cause")
+    words = {"rival": "rivals", "not-needed": "not needed", "excluded": "excluded above a size"}
+    text = listed([f"{count} {words.get(verdict, 'not visible')}" for verdict, count in counts.items()])
+    return [_cut(text, room)] if text else []
 
 
 def _where(diagnosis: Diagnosis) -> list[str]:
@@ -106,46 +124,6 @@ def _where(diagnosis: Diagnosis) -> list[str]:
         f"{percent(spot.share)}  {spot.text}" + (f" ({p_words(spot.p)})" if spot.p is not None else "")
         for spot in hot_spots(diagnosis.where)
     ]
-
-
-def _which(diagnosis: Diagnosis, room: int, most: int) -> list[str]:
-    """Return the causes, the rivals next to them as far as there is room, and how many there are besides."""
-    told = []
-    for cause in diagnosis.causes:
-        same = [name.words for name in cause.indistinguishable_from]
-        text = f"{cause.name.words}, confidence {percent(cause.confidence)}"
-        text += f", or {listed(same, 'or')}" if same else ""
-        values = "; ".join(value_words(cause.values))
-        told.append(f"{text}: {values} (95 % intervals)" if values else text)
-    lines = [line for text in told for line in _fitted([text], room, 3)]
-    if len(lines) > most - 1:
-        lines = [line for text in told for line in _fitted([text], room, 2)]
-    rivals = [one for one in ranked(diagnosis.candidates) if one.verdict != "cause"]
-    lines = lines if len(lines) <= most - 1 else [*lines[: most - 2], _cut(f"{lines[most - 2]} \u2026", room)]
-    named = min(_RIVALS, most - 1 - len(lines))
-    lines += [_rival(one, room) for one in rivals[:named]]
-    rest = rivals[named:]
-    if rest:
-        counts = [
-            f"{sum(one.verdict == verdict for one in rest)} {words}"
-            for verdict, words in VERDICTS.items()
-            if any(one.verdict == verdict for one in rest)
-        ]
-        lines.append(_cut(f"and {listed(counts)}", room))
-    return lines
-
-
-def _rival(one: RatedCandidate, room: int) -> str:
-    text = f"{one.name.words}: {VERDICTS[one.verdict]}"
-    if one.held_out_share is not None:
-        removes = removes_words(one.held_out_share)
-        text += f", removes {removes}" if removes[0].isdigit() or removes[0] == "<" else f", {removes}"
-    bounds = bound_words(one.upper_bound) if one.verdict == "ruled-out" else []
-    return _first_that_fits([f"{text}; {bounds[0]}", text] if bounds else [text], room)
-
-
-def _first_that_fits(lines: Sequence[str], room: int) -> str:
-    return next((line for line in lines if len(line) <= room), _cut(lines[-1], room))
 
 
 def _shared(diagnosis: Diagnosis, room: int, lines: int) -> tuple[list[str], list[str]]:
@@ -339,9 +317,7 @@ def compared_text(compared: Compared) -> str:
 def _said(stored: Mapping[str, Any]) -> str:
     causes = stored.get("causes", [])
     if not causes:
-        return {"no-gap": "no gap", "not-in-library": "something that is not in the library"}.get(
-            str(stored["verdict"]), str(stored["verdict"])
-        )
+        return HEADLINES.get(str(stored["verdict"]), str(stored["verdict"]))
     return "; ".join(_cause(cause) for cause in causes)
 
 

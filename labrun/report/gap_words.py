@@ -5,29 +5,35 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from labrun.estimate import Estimate, rounded
-from labrun.gap import By, CandidateVerdict, Diagnosis, Place, RatedCandidate, ResampledNumber
-from labrun.report.text import counted, number, percent, spaced, unit_text
+from labrun.gap import By, CandidateVerdict, Cause, Diagnosis, Place, RatedCandidate, ResampledNumber
+from labrun.report.text import counted, listed, number, percent, spaced, unit_text
 
 VERDICTS: Mapping[CandidateVerdict, str] = {
     "cause": "cause",
-    "indistinguishable": "explains these data about as well",
-    "ruled-out": "ruled out",
+    "rival": "rival",
+    "not-needed": "not needed",
+    "excluded": "excluded above",
     "not-visible": "not visible in these data",
 }
 HEADLINES = {
     "no-gap": "no gap",
-    "undecided": "gap or noise",
-    "parameter": "a parameter",
     "explained": "explained",
-    "partly-explained": "explained in part",
-    "not-in-library": "not in the library",
+    "mostly-explained": "mostly explained",
+    "partly-explained": "partly explained",
+    "unexplained": "unexplained",
+    "cannot-tell": "cannot tell",
 }
 _TAKE_PREFIX = ("N", "m", "s", "rad", "V", "A", "W", "Pa")
 _SMALL = 2e-3
-_WORSE = 0.005
 
 SIGNIFICANT = 0.05
-_RANK: Mapping[CandidateVerdict, int] = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}
+_RANK: Mapping[CandidateVerdict, int] = {
+    "cause": 0,
+    "rival": 1,
+    "not-needed": 2,
+    "excluded": 2,
+    "not-visible": 3,
+}
 _MOST_BARS, _MOST_SPOTS = 6, 3
 _STANDS_OUT = 1.5
 """A part whose share is so many times the mean of its kind is worth a sentence."""
@@ -41,7 +47,6 @@ _PREPOSITIONS: dict[By, str] = {
     "frequency": "at",
     "state": "in",
     "reversal": "in",
-    "equation": "in",
 }
 _LOCATING = frozenset(
     ["in", "at", "on", "from", "with", "between", "within", "above", "below", "away", "near", "after", "before"]
@@ -153,13 +158,72 @@ def located(place: Place) -> str:
 
 
 def ranked(candidates: Sequence[RatedCandidate]) -> list[RatedCandidate]:
-    """Return candidates by verdict, then by what they remove on data their fit did not see, then by evidence."""
+    """Return candidates by status, then by the share of the gap that each closes by itself."""
+    return sorted(candidates, key=lambda row: (_RANK[row.verdict], -(row.closes or 0.0)))
 
-    def key(one: RatedCandidate) -> tuple[int, float, float]:
-        # what was not tried by itself and what makes matters worse are in order of their evidence
-        return _RANK[one.verdict], -max(one.held_out_share or 0.0, 0.0), -one.evidence
 
-    return sorted(candidates, key=key)
+def status_words(row: RatedCandidate) -> str:
+    """Return what became of a candidate: "rival of X", "excluded above torque 0.002 N m", "not needed"."""
+    if row.verdict == "rival":
+        return f"rival of {listed([name.words for name in row.same_as], 'and')}"
+    if row.verdict == "excluded":
+        return "; ".join(bound_words(row.upper_bound))
+    return VERDICTS[row.verdict]
+
+
+def closes_words(cause: Cause) -> str:
+    """Return which share of the gap a cause closes, and how often it wins among resamples."""
+    if cause.closes < 0.0 < cause.returns:
+        text = f"closes {percent(cause.returns)} of the gap together with the other causes only"
+    else:
+        text = f"closes {percent(cause.closes)} of the gap"
+    if math.isfinite(cause.confidence):
+        text += f"; wins in {percent(cause.confidence)} of resamples"
+    return text
+
+
+def reference_words(cause: Cause) -> str:
+    """Return what the sizes of a cause refer to: "at reference 15 rad/s, exponent 2"."""
+    parts = [
+        f"{spaced(name)} {number(value, 3)}{'' if unit in ('', '1') else ' ' + unit_text(unit)}"
+        for name, (value, unit) in cause.refers_to.items()
+    ]
+    return f"at {', '.join(parts)}" if parts else ""
+
+
+def ladder_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return the error on unseen data of each output: as stated, recalibrated, and with each cause in turn."""
+    lines = []
+    for output, unit in diagnosis.channels:
+        values = [rung.errors[output] for rung in diagnosis.ladder]
+        finite = [value for value in values if math.isfinite(value)]
+        largest = ResampledNumber(max(finite, default=0.0), 0.0, 0.0, unit)
+        factor, suffix = _prefixed(largest)
+        steps = [
+            f"{rung.step if rung.cause is None else _short(rung.step)} {number(factor * value, 2)}"
+            for rung, value in zip(diagnosis.ladder, values, strict=True)
+        ]
+        noise = number(factor * diagnosis.noise[output], 2)
+        name = f"{spaced(output)}: " if len(diagnosis.channels) > 1 else ""
+        lines.append(f"{name}{' > '.join(steps)}{suffix} (noise of one trial about {noise}{suffix})")
+    return lines
+
+
+def _short(step: str) -> str:
+    return step.partition(" at ")[0]
+
+
+def rest_words(diagnosis: Diagnosis) -> str:
+    """Return what is left, how much of it is predictable, and from what."""
+    rest = diagnosis.rest
+    size = f"{times_noise(rest.in_noise)} times the noise"
+    if rest.within_noise:
+        return f"within the noise ({size})"
+    text = f"{percent(rest.share_of_gap)} of the gap ({size})" if diagnosis.causes else size
+    if rest.predictable is not None:
+        signals = f" from {listed([spaced(name) for name in rest.depends_on])}" if rest.depends_on else ""
+        text += f"; {percent(rest.predictable)} of its square is predictable{signals or ' from motion and inputs'}"
+    return f"{text}; nothing in the library explains it" if diagnosis.verdict != "explained" else text
 
 
 def times_noise(value: float) -> str:
@@ -169,11 +233,6 @@ def times_noise(value: float) -> str:
     if value == 0.0 or abs(value) >= 10:
         return f"{value:.0f}" if abs(value) < 1e5 else f"{value:.2g}"
     return f"{value:.1f}" if abs(value) >= 0.95 else f"{value:.2g}" if abs(value) >= 0.01 else f"{value:.1g}"
-
-
-def removes_words(share: float) -> str:
-    """Return how much of the excess a candidate removes, ``97 %``; of one that adds to it, that it does."""
-    return "makes it worse" if share <= -_WORSE else percent(max(min(share, 1.0), 0.0))
 
 
 def estimate_words(

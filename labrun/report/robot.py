@@ -10,12 +10,12 @@ from matplotlib.figure import Figure
 from labrun.gap import Cause, JointDiagnosis, RobotDiagnosis
 from labrun.report.figures.gap_traces import traces_figure
 from labrun.report.gap_page import parameter_table
-from labrun.report.gap_words import HEADLINES, VERDICTS, bound_words, ranked, times_noise, value_words
+from labrun.report.gap_words import HEADLINES, ranked, status_words, times_noise, value_words
 from labrun.report.page import PageTable, drawn, render
 from labrun.report.style import COLOURS, heading, new_figure
 from labrun.report.text import aligned, listed, number, percent, short_time_text
 
-_ALONE = {"parameter": "none: recalibrated", "no-gap": "none"}
+_ALONE = {"no-gap": "none"}
 """What stands at a joint without a cause where the file's physics is enough."""
 _OF_THE_WHOLE: Mapping[str, Mapping[str, str]] = {
     "gravity-tilt": {"roll": "rad", "pitch": "rad"},
@@ -130,9 +130,8 @@ def _section(one: JointDiagnosis) -> Mapping[str, Any]:
         lines += [f"These data cannot tell {cause.name.words} from {rivals}."] if rivals else []
     candidates = [
         [
-            other.name.words, VERDICTS[other.verdict],
-            "" if other.held_out_share is None else percent(other.held_out_share), number(other.evidence, 2),
-            "; ".join(bound_words(other.upper_bound) if other.verdict == "ruled-out" else value_words(other.values)),
+            other.name.words, status_words(other), "" if other.closes is None else percent(other.closes),
+            "; ".join(value_words(other.values)),
         ]
         for other in ranked(diagnosis.candidates)[:_SHOWN]
     ]  # fmt: skip
@@ -144,9 +143,7 @@ def _section(one: JointDiagnosis) -> Mapping[str, Any]:
         "traces": drawn(
             lambda: traces_figure(diagnosis), f"traces-{one.joint.output}", "Measured and simulated"
         ),
-        "candidates": PageTable(
-            ("candidate", "verdict", "removes", "evidence", "size"), candidates, words=(0, 1, 4)
-        ),
+        "candidates": PageTable(("candidate", "status", "closes alone", "size"), candidates, words=(0, 1, 3)),
         "parameters": parameter_table(diagnosis),
     }
 

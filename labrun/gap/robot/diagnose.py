@@ -11,7 +11,7 @@ from labrun.arrays import FloatArray
 from labrun.fit import Dataset, Note, silent
 from labrun.gap import criteria
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.diagnosis import Diagnosis, Verdict
+from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.robot.clock import common_lead
 from labrun.gap.robot.diagnosis import OF_THE_WHOLE, OfTheWhole, RobotDiagnosis
 from labrun.gap.robot.links import links_that_explain
@@ -141,7 +141,7 @@ def _about(one: OneJoint, told: Note) -> Note:
 
 def _least_gap(one: OneJoint, drawn: OneJoint) -> float:
     """Return the gap of a joint, in units of its noise, below which no cause is looked for."""
-    return max(criteria.LEAST_JOINT_GAP, criteria.LINEAR_SLACK * _smoothing_gap(one, drawn))
+    return max(criteria.LEAST_JOINT_GAP, _smoothing_gap(one, drawn))
 
 
 def _smoothing_gap(one: OneJoint, drawn: OneJoint) -> float:
@@ -204,7 +204,7 @@ def _announced(answer: Diagnosis, least: float, step_s: float) -> Diagnosis:
             "Recalibrated, the joint moves as measured, but for less than smoothing of the others may leave."
         )
         below = f"{_NOT_LOOKED_FOR}: {answer.gap.recalibrated:.2g} of the noise is less than {least:.2g}"
-        if not answer.causes and answer.verdict != "not-in-library":
+        if not answer.causes and answer.verdict != "unexplained":
             return replace(answer, notes=(*answer.notes, below))
     elif answer.causes and all(
         cause.name.effect in _CLOCKS and cause.values["lead"].value < step_s for cause in answer.causes
@@ -217,12 +217,10 @@ def _announced(answer: Diagnosis, least: float, step_s: float) -> Diagnosis:
         )
     else:
         return answer
-    # of a parameter alone, how far it is off is told with the joint: see `JointDiagnosis.moved`
-    verdict: Verdict = "parameter" if answer.verdict == "parameter" else "no-gap"
     return replace(
-        answer, verdict=verdict, causes=(), effects=(), shrinkage=None, what_next=(), sentence=sentence,
+        answer, verdict="no-gap", causes=(), effects=(), shrinkage=None, what_next=(), sentence=sentence,
         corrected={name: value for name, (_, _, value) in answer.recalibration.items()},
-        gap=replace(answer.gap, after=answer.gap.recalibrated),
+        gap=replace(answer.gap, after=answer.gap.recalibrated), ladder=answer.ladder[:2],
         notes=(*answer.notes, below),
     )  # fmt: skip
 
@@ -270,7 +268,7 @@ def _that_others_may_explain(
     return [
         place
         for place, (_, answer) in enumerate(answers)
-        if (answer.causes or answer.verdict == "not-in-library")
+        if (answer.causes or answer.verdict == "unexplained")
         and place not in links
         and not {cause.name.effect for cause in answer.causes} & set(OF_THE_WHOLE)
     ]

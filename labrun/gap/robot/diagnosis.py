@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.effects import AttachedEffect
 from labrun.gap import criteria
-from labrun.gap.diagnosis import Diagnosis
+from labrun.gap.diagnosis import Diagnosis, Verdict
 from labrun.models import RobotJoint
 
 OfTheWhole = tuple[str, tuple[str, ...], Mapping[str, float]]
@@ -46,7 +46,7 @@ class JointDiagnosis:
 
         None of a joint that moves as stated to within one trial's noise: gain, damping and mass trade for one another.
         """
-        if self.diagnosis.causes or self.diagnosis.verdict != "parameter" or self.diagnosis.gap.raw <= 1.0:
+        if self.diagnosis.causes or self.diagnosis.verdict == "unexplained" or self.diagnosis.gap.raw <= 1.0:
             return {}
         return {
             name.removesuffix("_ratio"): found / stated
@@ -89,6 +89,15 @@ class RobotDiagnosis:
         return tuple(one for one in self.joints if one.diagnosis.causes)
 
     @property
+    def verdict(self) -> Verdict:
+        """The worst verdict of a joint that lacks something; "no-gap" where none does."""
+        verdicts = {joint.diagnosis.verdict for joint in self.joints}
+        order: tuple[Verdict, ...] = ("unexplained", "partly-explained", "mostly-explained", "explained")
+        if not self.named and self.whole:
+            return "explained"
+        return next((verdict for verdict in order if verdict in verdicts), "no-gap")
+
+    @property
     def clock(self) -> str:
         """What the goals of all joints have in time beside the angles; "" if nothing."""
         return next((name for name, _, _ in self.whole if name in OF_THE_LOG), "")
@@ -100,7 +109,7 @@ class RobotDiagnosis:
             f"{one.joint.name}: {' and '.join(cause.name.words.partition(' at ')[0] for cause in one.diagnosis.causes)}"
             for one in self.named
         ]
-        unexplained = [one.joint.name for one in self.joints if one.diagnosis.verdict == "not-in-library"]
+        unexplained = [one.joint.name for one in self.joints if one.diagnosis.verdict == "unexplained"]
         found += [_clock_words(name, values) for name, _, values in self.whole if name in OF_THE_LOG]
         told = "; ".join(found) if found else "nothing but recalibration is asked for at any joint"
         far = [f"{name} {100 * (by - 1):+.2g} %" for one in self.joints for name, by in one.moved.items()]
@@ -108,15 +117,14 @@ class RobotDiagnosis:
             told = f"parameters are far from what is stated: {', '.join(far)}"
         several = self.named and len(self.joints) > 1
         count = f"{len(self.named)} of {len(self.joints)} joints lack physics: " if several else ""
-        rest = f"; not in the library: {', '.join(unexplained)}" if unexplained else ""
+        rest = f"; unexplained: {', '.join(unexplained)}" if unexplained else ""
         rest += f"; far from what is stated: {', '.join(far)}" if far and found else ""
         return f"{count}{told}{rest}."
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap diagnose --json`` prints, with what makes the corrected model."""
-        found = bool(self.named or self.whole)
         return {
-            "verdict": "explained" if found else "no-gap",
+            "verdict": self.verdict,
             "sentence": self.sentence,
             "name": self.name,
             "model": self.model,

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit import Each, one_by_one
 from labrun.gap import criteria
 from labrun.gap.diagnosis import By, Place
 from labrun.gap.where.difference import Difference, Mover, input_movers, pieces, site_movers
@@ -34,13 +33,12 @@ def find_places(
     *,
     draws: int = 200,
     note: Note = lambda _: None,
-    each: Each = one_by_one,
 ) -> tuple[Place, ...]:
     """Divide the excess of the squared residual over the noise floor in every way that means something here.
 
-    By channel, condition, phase of the cycle, frequency band, region of coordinate, rate, load and input, reversals,
-    and by the state equation that lacks a force. What the data do not allow is left out: no phase without a cycle,
-    and of trials that are one sample each only channels and conditions.
+    By channel, condition, phase of the cycle, frequency band, region of coordinate, rate, load and input, and around
+    reversals. What the data do not allow is left out: no phase without a cycle, and of trials that are one sample each
+    only channels and conditions.
 
     Parameters
     ----------
@@ -52,8 +50,6 @@ def find_places(
         How often. The smallest p is 1 / (draws + 1).
     note
         Is told in sentences what there is to know about the shares and their p.
-    each
-        Runs what does not depend on one another; see `labrun.fit.simulations`.
 
     Returns
     -------
@@ -76,9 +72,8 @@ def find_places(
 
     finding = weigh(difference, parts, densities, rng, draws)
     _say(difference, finding, note)
-    equations = _equations(difference, rng, draws, finding, note, each)
     makes_up = np.maximum(finding.data_share, _of_signal(difference, layout, spectra, parts))
-    return (*_placed(difference, parts, finding, makes_up, equations),)
+    return (*_placed(difference, parts, finding, makes_up),)
 
 
 def _parts(difference: Difference, layout: SampleLayout, spectra: Spectra) -> list[Part]:
@@ -133,25 +128,11 @@ def _say(difference: Difference, finding: Finding, note: Note) -> None:
         note("No part of the data holds more than noise does: there is nothing to place.")
 
 
-def _equations(
-    difference: Difference,
-    rng: np.random.Generator,
-    draws: int,
-    finding: Finding,
-    note: Note,
-    each: Each,
-) -> list[Place]:
-    from labrun.gap.where.equations import equation_places
-
-    return equation_places(difference, rng, draws=draws, quiet=finding.quiet, note=note, each=each)
-
-
 def _placed(
     difference: Difference,
     parts: Sequence[Part],
     finding: Finding,
     makes_up: FloatArray,
-    equations: Sequence[Place],
 ) -> list[Place]:
     ranked: list[tuple[bool, bool, float, Place]] = []
     untold = _channels_that_told_their_noise(difference)
@@ -163,9 +144,6 @@ def _placed(
         ranked.append(
             (p is None or p > criteria.STANDS_OUT, JOINT in part.at, -max(lift, 0.0) * share, place)
         )
-    for place in equations:
-        certain = place.p is not None and place.p <= criteria.STANDS_OUT
-        ranked.append((not certain, False, -len(difference.model.states) * place.share**2, place))
     return [place for *_, place in sorted(ranked, key=lambda one: one[:3])]
 
 
@@ -222,10 +200,6 @@ def describe(places: Sequence[Place], conditions: Sequence[str] = ()) -> str:
     if top is not None and len(channels) > 1 and top.share >= criteria.MAINLY and top.text not in words[0]:
         words.append(f"mostly in {top.text}")
     sentence = ", ".join(words)
-    lacking = next((one for one in beyond if one.by == "equation" and one.share >= 0.5), None)
-    if lacking is not None:
-        output = lacking.at.endswith("(output)")
-        sentence += f"; {lacking.text} is wrong" if output else f"; {lacking.text} lacks a term"
     return sentence[0].upper() + sentence[1:] + "."
 
 

@@ -19,7 +19,7 @@ from labrun.report.gap_words import (
     times_noise,
 )
 from labrun.report.style import COLOURS, INK, beside, heading, new_figure, plain_numbers
-from labrun.report.text import listed, p_words, percent
+from labrun.report.text import p_words, percent
 
 _HOW_FAR_IN = 2.2
 _HEADING_IN = 0.95
@@ -42,11 +42,7 @@ def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def _subtitle(diagnosis: Diagnosis) -> str:
-    told = diagnosis.sentence.rstrip()
-    if diagnosis.causes:
-        sure = ", ".join(percent(cause.confidence) for cause in diagnosis.causes)
-        told += f" Confidence {sure}."
-    return f"{told} From {data_words(diagnosis)}."
+    return f"{diagnosis.sentence.rstrip()} From {data_words(diagnosis)}."
 
 
 TITLES: dict[By, str] = {
@@ -56,7 +52,6 @@ TITLES: dict[By, str] = {
     "frequency": "which frequencies",
     "state": "which positions and speeds",
     "reversal": "around reversals of the motion",
-    "equation": "which equation lacks a force",
 }
 BEYOND_CHANCE, MAYBE_CHANCE, NOT_TESTED = COLOURS[0], "#c3c7cd", COLOURS[4]
 _ACROSS = 2
@@ -164,11 +159,12 @@ def how_far_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def draw_how_far(axes: Axes, diagnosis: Diagnosis) -> None:
-    """Draw one bar for the model as stated, recalibrated, and with its causes, over the noise floor."""
-    gap = diagnosis.gap
-    rows = [("model as stated", gap.raw, STATED), ("recalibrated", gap.recalibrated, RECALIBRATED)]
-    if diagnosis.causes:
-        rows.append((_with_causes(diagnosis), gap.after, AFTER))
+    """Draw the ladder: a bar for the model as stated, recalibrated, with each cause in turn, over the noise floor."""
+    gap, colours = diagnosis.gap, (STATED, RECALIBRATED)
+    rows = [
+        (_wrapped(rung.step), rung.in_noise, colours[index] if index < len(colours) else AFTER)
+        for index, rung in enumerate(diagnosis.ladder)
+    ]
     sizes = [max(size, 0.0) if math.isfinite(size) else 0.0 for _, size, _ in rows]
     largest = max(*sizes, gap.floor) or 1.0
     low = _set_scale(axes, [*sizes, gap.floor], largest)
@@ -192,17 +188,18 @@ def draw_how_far(axes: Axes, diagnosis: Diagnosis) -> None:
     axes.set_yticks(range(len(rows)), [label for label, _, _ in rows], fontsize=9)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(rows) - 0.45, -0.95)
-    axes.text(
-        floor,
-        -0.56,
-        f" noise floor {times_noise(gap.floor)}",
-        color="#00694c",
-        fontsize=8.5,
-        va="bottom",
-        ha="left" if _place(axes, floor) < 0.8 else "right",
-    )
+    if gap.floor > 0.0:
+        axes.text(
+            floor,
+            -0.56,
+            f" noise floor {times_noise(gap.floor)}",
+            color="#00694c",
+            fontsize=8.5,
+            va="bottom",
+            ha="left" if _place(axes, floor) < 0.8 else "right",
+        )
     axes.set_xlabel(
-        "gap: rms of measured - simulated beyond the noise (noise of one trial = 1)"
+        "error on unseen data: rms of measured - simulated beyond the noise (noise of one trial = 1)"
         + (", logarithmic" if axes.get_xscale() == "log" else ""),
         color=INK,
     )
@@ -231,12 +228,9 @@ def _clear_of(axes: Axes, width: float, floor: float) -> float:
     return floor if -0.12 < _place(axes, width) - _place(axes, floor) < 0 else width
 
 
-def _with_causes(diagnosis: Diagnosis) -> str:
-    names = listed([cause.name.words for cause in diagnosis.causes])
-    label = f"with {names}"
-    if len(label) <= _LONGEST_LABEL:
-        return label
-    return f"with {names.replace(' and ', chr(10) + 'and ').replace(', ', ',' + chr(10))}"
+def _wrapped(step: str) -> str:
+    """Return a step of the ladder on lines that fit beside the bars."""
+    return step if len(step) <= _LONGEST_LABEL else step.replace(" at ", "\nat ")
 
 
 def _removed(diagnosis: Diagnosis) -> str:
@@ -244,4 +238,4 @@ def _removed(diagnosis: Diagnosis) -> str:
     if share is None or not diagnosis.causes:
         return "how far the gap closes"
     ends = f"90 % interval {percent(share.low)} to {percent(share.high)}"
-    return f"how far the gap closes: {percent(share.value)} of its excess ({ends}), {never_seen(diagnosis)}"
+    return f"how far the gap closes: {percent(share.value)} of its square ({ends}), {never_seen(diagnosis)}"
