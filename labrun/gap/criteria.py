@@ -81,7 +81,7 @@ LARGE_REMAINDER = 3.0
 
 # --- Screening ---
 
-WORTH_BESIDE_BEST = 0.03
+WORTH_BESIDE_BEST = 0.1
 """Part of what the best survey promises that makes a candidate worth a fit."""
 ALWAYS_FITTED = 3
 """Candidates that are fitted in any case, the most promising ones."""
