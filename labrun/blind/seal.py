@@ -331,7 +331,7 @@ def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
             named.append(name)
             sets.append(together)
     if not truth:
-        return "false alarm" if named or stored["verdict"] == "not-in-library" else "right"
+        return "false alarm" if named else "right"
     if not named:
         unseen = all(_too_small(one, stored.get("candidates", [])) for one in hidden)
         return "too small to be seen" if unseen else "missed"
@@ -340,9 +340,7 @@ def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
     if found == truth and not useless:
         return "right" if truth == set(named) else "right, in a stated set"
     as_well = {
-        (one["effect"], one["site"])
-        for one in stored.get("candidates", [])
-        if one["verdict"] == "indistinguishable"
+        (one["effect"], one["site"]) for one in stored.get("candidates", []) if one["verdict"] == "rival"
     }
     return "right in part" if found or truth & as_well else "wrong"
 
@@ -367,12 +365,42 @@ def _hidden(one: Mapping[str, Any]) -> Hidden:
     return Hidden(one["effect"], one["site"], one["kind"], values, dict(one.get("units", {})))
 
 
-def _inside(one: Hidden, cause: Mapping[str, Any]) -> list[str]:
-    found = []
-    for name, value in one.values.items():
+def _inside(hidden: Hidden, cause: Mapping[str, Any]) -> list[str]:
+    factor = _to_reference_of(hidden, cause)
+    sentences = []
+    for name, value in hidden.values.items():
         low, high = cause["values"].get(name, {}).get("ci95", (None, None))
-        if low is not None and high is not None:
-            where = "inside" if low <= value <= high else "outside"
-            told = name.replace("_", " ")
-            found.append(f"the hidden {told} lies {where} the 95 % interval that was stated")
-    return found
+        if low is None or high is None:
+            continue
+        scaled = value / factor if name == "coefficient" else value
+        where = "inside" if low <= scaled <= high else "outside"
+        at = "" if factor == 1.0 or name != "coefficient" else ", at the same reference,"
+        sentences.append(
+            f"the hidden {name.replace('_', ' ')}{at} lies {where} the 95 % interval that was stated"
+        )
+    return sentences
+
+
+def _to_reference_of(hidden: Hidden, cause: Mapping[str, Any]) -> float:
+    """Return the factor from a coefficient at the cause's reference to the same law's at the hidden reference.
+
+    A law ``c x^n (x / reference)^(exponent - n)`` has another coefficient at another reference wherever its exponent is
+    not the usual n. 1 where either has no reference.
+    """
+    from labrun.effects import effects
+
+    stated = {name: number["value"] for name, number in cause.get("refers_to", {}).items()}
+    stated |= {name: number["value"] for name, number in cause["values"].items()}
+    if not all("reference" in values for values in (hidden.values, stated)):
+        return 1.0
+    library = [effect for effect in effects() if effect.id == hidden.effect]
+    usual = [
+        item.starts[0]
+        for effect in library
+        for item in effect.parameters
+        if item.name == "exponent" and item.held
+    ]
+    exponent = hidden.values.get("exponent", stated.get("exponent"))
+    if not usual or exponent is None:
+        return 1.0
+    return float((hidden.values["reference"] / stated["reference"]) ** (exponent - usual[0]))
