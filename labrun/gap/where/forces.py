@@ -159,9 +159,10 @@ def missing_forces(difference: Difference) -> tuple[MissingForce, ...]:
     with a weight that generalised cross-validation chooses; what recalibration can do is left to it. Coordinate, rate
     and load are those of the simulation with this force, which is closer to what was measured than that without.
 
-    `share` is told on the data the force was fitted to, less what it takes out of the noise: so free a force also
+    `share` is measured on the data the force was fitted to, less what it takes out of the noise: so free a force also
     imitates what is no force at all, an error of an output for one. A force that motion and load do not predict in
-    withheld trials is left out; so is a site that no output sees, and units of fewer than 16 samples. Beyond 80 units, some of every condition stand for all.
+    withheld trials is left out; so is a site that no output sees, and units of fewer than 16 samples. Beyond 80 units,
+    some of every condition stand for all.
     """
     some = _subset(difference)
     if some is None or not some.model.sites:
