@@ -29,6 +29,8 @@ SHAPED = ("delay", "lag", "dead-band", "saturation")
 """Effects whose outputs have no slope, or a poor one, over a size of zero: their fits start elsewhere, twice."""
 RIVAL = 10.0
 """A difference in BIC that counts as very strong evidence (Kass and Raftery, JASA 90, 1995)."""
+FREE = 0.2
+"""Scale of a parameter whose tolerance is "free", as a share of its value; it is not held by it."""
 SLOW = 0.02
 """Dry friction is rounded below this share of the greatest speed."""
 
@@ -123,31 +125,37 @@ class Recording:
         for trial in data.trials:
             groups.setdefault(json.dumps(trial.condition, sort_keys=True), []).append(trial)
         self.trials = [
-            replace(group[0], outputs=np.mean([one.outputs for one in group], 0)) for group in groups.values()
+            replace(group[0], outputs=np.mean([trial.outputs for trial in group], 0))
+            for group in groups.values()
         ]
         self.repeats = min(map(len, groups.values()))
         spread = [
-            np.var([one.outputs for one in group], axis=0, ddof=1) / len(group)
+            np.var([trial.outputs for trial in group], axis=0, ddof=1) / len(group)
             for group in groups.values()
             if len(group) > 1
         ]
         self.noise = np.sqrt(np.mean(np.concatenate(spread), axis=0)) if self.repeats > 1 else None
         self.sigma = np.std(np.concatenate([trial.outputs for trial in self.trials]), axis=0) + 1e-12
-        loose = [one for one in plain.parameters if one.tolerance != 0]
-        self.names = [one.name for one in loose]
-        self.stated = np.array([one.value for one in loose])
-        self.is_held = np.array([one.tolerance != "free" for one in loose])
+        loose = [parameter for parameter in plain.parameters if parameter.tolerance != 0]
+        self.names = [parameter.name for parameter in loose]
+        self.stated = np.array([parameter.value for parameter in loose])
+        self.is_held = np.array([parameter.tolerance != "free" for parameter in loose])
         self.scales = np.array(
-            [max(abs(one.value), 1e-9) * (0.2 if one.tolerance == "free" else one.tolerance) for one in loose]
+            [
+                max(abs(parameter.value), 1e-9)
+                * (FREE if parameter.tolerance == "free" else parameter.tolerance)
+                for parameter in loose
+            ]
         )
         self.free = [state for state in plain.states if plain.initial.get(state, "free") == "free"]
-        self.inputs = [one.name for one in plain.inputs]
-        self.outputs = [one.name for one in plain.outputs]
+        self.inputs = [port.name for port in plain.inputs]
+        self.outputs = [port.name for port in plain.outputs]
         self.drives = [prepare(plain, trial.time_s, trial.inputs, SUBSTEPS) for trial in self.trials]
         self.model = plain
         self.model, self.candidates = self._with_forces(text, plain)
 
     def _with_forces(self, text: str, plain):
+        """Return the model with a parameter of value 0 for every effect at a site, and the list of all candidates."""
         table = tomllib.loads(text)
         peak = self._greatest_rates(plain)
         listed = [
@@ -198,6 +206,7 @@ class Recording:
         return {name: float(np.nanmax(np.abs(column))) or 1.0 for name, column in columns.items()}
 
     def _run(self, trial, index: int, x: np.ndarray, candidate: Candidate, size: float):
+        """Simulate one condition with parameters and initial states x, and with a candidate at some size."""
         count = len(self.names)
         values = dict(zip(self.names, self.stated + x[:count] * self.scales, strict=True))
         if candidate.effect and not candidate.of_signal:
@@ -296,6 +305,7 @@ def fitted(recording: Recording, plain: Fit, slopes: np.ndarray, candidate: Cand
 
 
 def _descended(recording, candidate, x, size, scale, slopes) -> Fit:
+    """Fit by Gauss-Newton steps, halved where they do not help; `scale` 0 leaves the size alone."""
     residuals = recording.residuals(x, candidate, size)
     for _ in range(ITERATIONS):
         columns = slopes
@@ -382,7 +392,7 @@ def diagnosed(folder: Path) -> dict:
         return {"gap": False, "causes": []}
     rivals = [fit.candidate for fit in fits if fit is not best and fit.bic < best.bic + RIVAL]
     found = cause(recording, best, slopes)
-    found["rivals"] = [{"effect": one.parameter or one.effect, "site": one.site} for one in rivals]
+    found["rivals"] = [{"effect": rival.parameter or rival.effect, "site": rival.site} for rival in rivals]
     if recording.noise is None or excess(recording, plain) == 0.0:
         return {"gap": True, "causes": [found]}
     rest = min(excess(recording, best) / excess(recording, plain), 1.0)

@@ -59,17 +59,17 @@ class Recording:
         groups: dict[str, list] = {}
         for trial in data.trials:
             groups.setdefault(json.dumps(trial.condition, sort_keys=True), []).append(trial)
-        self.parameters = {one.name: one.value for one in self.model.parameters}
-        self.loose = [one.name for one in self.model.parameters if one.tolerance != 0]
+        self.parameters = {parameter.name: parameter.value for parameter in self.model.parameters}
+        self.loose = [parameter.name for parameter in self.model.parameters if parameter.tolerance != 0]
         self.motions = [self._motion(group) for group in groups.values()]
 
     def _motion(self, group) -> Motion:
-        trial, outputs = group[0], np.mean([one.outputs for one in group], axis=0)
+        trial, outputs = group[0], np.mean([repeat.outputs for repeat in group], axis=0)
         time_s, names = trial.time_s, dict(trial.condition)
-        names |= {one.name: trial.inputs[:, column] for column, one in enumerate(self.model.inputs)}
+        names |= {port.name: trial.inputs[:, column] for column, port in enumerate(self.model.inputs)}
         slopes = {}
         measured = {
-            self.readings[one.name]: outputs[:, column] for column, one in enumerate(self.model.outputs)
+            self.readings[port.name]: outputs[:, column] for column, port in enumerate(self.model.outputs)
         }
         for state in self.model.states:
             if state in measured:
@@ -86,7 +86,7 @@ class Recording:
         unknown = [state for state in self.model.states if state not in names]
         if unknown:
             raise SystemExit(f"no output measures {', '.join(unknown)}")
-        names["time_slope"] = {one.name: np.gradient(names[one.name], time_s) for one in self.model.inputs}
+        names["time_slope"] = {port.name: np.gradient(names[port.name], time_s) for port in self.model.inputs}
         return Motion(names, slopes)
 
     def acceleration(self, state: str, motion: Motion, **changed) -> np.ndarray:
@@ -126,20 +126,20 @@ def terms(recording: Recording, state: str, motion: Motion) -> dict[tuple[str, s
                     dry * np.abs(np.broadcast_to(load, len(rate) + 2 * EDGE))[EDGE:-EDGE]
                 )
         listed |= {(effect, site.name): push * force for effect, force in forces.items()}
-    for one in recording.model.inputs:
-        value = motion.names[one.name]
-        push = recording.acceleration(state, motion, **{one.name: value + 1.0}) - still
+    for port in recording.model.inputs:
+        value = motion.names[port.name]
+        push = recording.acceleration(state, motion, **{port.name: value + 1.0}) - still
         if np.any(push):
             small = np.clip(value, -0.1 * np.abs(value).max(), 0.1 * np.abs(value).max())
             large = np.sign(value) * np.maximum(np.abs(value) - 0.8 * np.abs(value).max(), 0.0)
             signals = {
                 "gain-error": value,
                 "bias": np.ones_like(value),
-                "delay": -motion.names["time_slope"][one.name],
+                "delay": -motion.names["time_slope"][port.name],
                 "dead-band": -small,
                 "saturation": -large,
             }
-            listed |= {(effect, one.name): push * signal[EDGE:-EDGE] for effect, signal in signals.items()}
+            listed |= {(effect, port.name): push * signal[EDGE:-EDGE] for effect, signal in signals.items()}
     return listed
 
 
@@ -170,8 +170,8 @@ def regression(
         motion.slopes[state][EDGE:-EDGE] - recording.acceleration(state, motion)
         for motion in recording.motions
     ]
-    parts = [low_passed(np.column_stack([one[name] for name in names])) for one in listed]
-    columns, target = np.concatenate(parts), np.concatenate([low_passed(one) for one in missing])
+    parts = [low_passed(np.column_stack([columns[name] for name in names])) for columns in listed]
+    columns, target = np.concatenate(parts), np.concatenate([low_passed(signal) for signal in missing])
     others = np.concatenate([low_passed(nuisance(recording, state, motion)) for motion in recording.motions])
     both = np.column_stack([columns, target])
     size = np.sqrt(np.mean(np.square(columns), axis=0)) + 1e-30
@@ -243,7 +243,7 @@ def diagnosed(folder: Path) -> dict:
             for name, share in zip(names, shares, strict=True)
             if share > 0.0
         ]
-    causes.sort(key=lambda one: -one["closes"])
+    causes.sort(key=lambda cause: -cause["closes"])
     return {"gap": bool(causes), "causes": causes, "rest": float(np.mean(rests)) if rests else None}
 
 

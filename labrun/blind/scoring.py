@@ -133,6 +133,11 @@ class ShareScore:
     unpredicted: int
 
     @property
+    def predicted(self) -> int:
+        """How many cases have a predicted share."""
+        return self.covered.of + self.too_small + self.failed
+
+    @property
     def median_difference(self) -> float | None:
         """Median of the absolute differences."""
         return median(map(abs, self.differences.values())) if self.differences else None
@@ -167,7 +172,6 @@ class Scores:
         Parameters far off that were named.
     set_sizes : size -> count
         Of all claimed causes with their rivals.
-    confusion : what it is -> what was claimed -> count
     controls_blamed
         Controls in which a cause was claimed, of those that were answered; `controls_with_gap` those in which a gap
         was reported without a cause.
@@ -198,7 +202,6 @@ class Scores:
     pairs_in_part: int
     parameters: Share
     set_sizes: Mapping[int, int]
-    confusion: Mapping[str, Mapping[str, int]]
     controls_blamed: Share
     controls_with_gap: Share
     outside: ByStrength
@@ -229,7 +232,6 @@ class Scores:
             "pairs_named_in_part": self.pairs_in_part,
             "parameter_named": self.parameters.to_json(),
             "set_sizes": {str(size): count for size, count in self.set_sizes.items()},
-            "confusion": {true: dict(claimed) for true, claimed in self.confusion.items()},
             "controls_blamed": self.controls_blamed.to_json(),
             "controls_with_gap": self.controls_with_gap.to_json(),
             "outside": {
@@ -268,7 +270,6 @@ def score(judged: Sequence[Judged]) -> Scores:
         pairs_in_part=sum(case.outcome == "one-named" for case in pairs),
         parameters=Share.among(case.outcome == "named" for case in of_kind["parameter"]),
         set_sizes=dict(sorted(Counter(len(cause.members) for cause, _ in claimed).items())),
-        confusion=confusion(judged),
         controls_blamed=Share.among(case.outcome == "false-alarm" for case in controls),
         controls_with_gap=Share.among(case.outcome == "gap-reported" for case in controls),
         outside=_by_strength(outside, _is_right_outside),
@@ -291,14 +292,6 @@ def score(judged: Sequence[Judged]) -> Scores:
         processor_s=_durations([case.reply.processor_s for case in answered]),
         unanswered={case.truth.case: case.reply.reason for case in judged if case.reply.answer is None},
     )
-
-
-def confusion(judged: Sequence[Judged]) -> dict[str, dict[str, int]]:
-    """Count what was claimed of what: all causes by their effects, or how the case was left without one."""
-    table: dict[str, Counter[str]] = {}
-    for case in judged:
-        table.setdefault(_true_name(case), Counter())[_claimed_name(case)] += 1
-    return {true: dict(sorted(table[true].items())) for true in sorted(table)}
 
 
 def share_score(judged: Sequence[Judged]) -> ShareScore:
@@ -353,24 +346,6 @@ def _by_strength(judged: Sequence[Judged], hit: Callable[[Judged], bool]) -> dic
         strength: Share.among(hit(case) for case in judged if case.truth.strength == strength)
         for strength in STRENGTHS
     }
-
-
-def _true_name(case: Judged) -> str:
-    truth = case.truth
-    if truth.kind in ("control", "outside"):
-        return f"({truth.kind})"
-    if truth.kind == "parameter":
-        return "(parameter)"
-    return " + ".join(sorted(cause.effect for cause in truth.causes))
-
-
-def _claimed_name(case: Judged) -> str:
-    answer = case.reply.answer
-    if answer is None:
-        return "(no answer)"
-    if not answer.causes:
-        return "(gap without a cause)" if answer.gap else "(no gap)"
-    return " + ".join(sorted(cause.effect if cause.site else "(parameter)" for cause in answer.causes))
 
 
 def _durations(seconds: Sequence[float]) -> dict[str, float]:

@@ -48,12 +48,6 @@ def check_text(checked: Checked) -> str:
 
 def check_page(checked: Checked) -> str:
     """Return the page, in Markdown."""
-    confusion = []  # a list, most frequent first, where a matrix would be mostly empty
-    for true, claimed in checked.scores.confusion.items():
-        ordered = sorted(claimed.items(), key=lambda item: (-item[1], item[0]))
-        confusion.append(
-            (true, sum(claimed.values()), ", ".join(f"{name} {count}" for name, count in ordered))
-        )
     bins = checked.scores.calibration.bins
     return render(
         "check.md.j2",
@@ -61,7 +55,6 @@ def check_page(checked: Checked) -> str:
             "told": check_text(checked),
             "wrong": [_row(case) for case in checked.judged if not case.right],
             "every": [_row(case) for case in checked.judged],
-            "confusion": confusion,
             "data": [(data, _share_text(share)) for data, share in checked.scores.by_data.items()],
             "bins": [
                 (f"{tenth.low:.1f} to {tenth.high:.1f}", f"{tenth.stated:.2f}", _share_text(tenth.right))
@@ -144,6 +137,8 @@ def _confidence(scores: Scores) -> str:
 
 
 def _shares_left_out(scores: Scores) -> str:
+    if not scores.shares.predicted:
+        return _NONE
     left_out = (
         (scores.shares.too_small, "gap too small"),
         (scores.shares.failed, "not computed"),

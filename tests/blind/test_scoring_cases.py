@@ -4,7 +4,7 @@ import pytest
 
 from labrun.blind import Answer, Cause, CauseName, Judged
 from labrun.blind.judging import PredictedShare, Reply, Shown, judge, sizes_held
-from labrun.blind.scoring import confusion, score
+from labrun.blind.scoring import score
 from labrun.blind.truth import Truth
 
 COULOMB = CauseName(effect="coulomb-friction", site="hinge")
@@ -188,23 +188,6 @@ def test_shares_are_counted_by_the_true_strength() -> None:
     assert (scores.rest_told.hits, scores.rest_told.of) == (1, 2)
     assert (scores.controls_with_gap.hits, scores.controls_blamed.hits) == (1, 0)
     assert scores.false_causes_per_case == 2 / 8
-
-
-def test_the_confusion_tells_what_was_claimed_of_what() -> None:
-    table = confusion(
-        [
-            judge(truth("effect", COULOMB), reply(claim(STRIBECK))),
-            judge(truth("effect", COULOMB), reply(claim(STRIBECK))),
-            judge(truth("effect", COULOMB), reply(rest=1.0)),
-            judge(truth("pair", LAG, COULOMB), reply(claim(COULOMB), claim(MASS))),
-            judge(truth("control"), NO_GAP),
-        ]
-    )
-    assert table == {
-        "(control)": {"(no gap)": 1},
-        "coulomb-friction": {"(gap without a cause)": 1, "stribeck-friction": 2},
-        "coulomb-friction + lag": {"(parameter) + coulomb-friction": 1},
-    }
 
 
 def test_confidence_is_held_against_the_cause_or_its_first_rival_and_the_site() -> None:
