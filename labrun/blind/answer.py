@@ -4,7 +4,7 @@
 ``labrun gap diagnose --json`` prints.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, StrictBool, ValidationError
@@ -62,7 +62,7 @@ class Cause(BaseModel):
     closes
         Share of the gap that this cause closes; None where that is not told, which counts as less than half.
     rivals
-        All that the data cannot tell from it.
+        What the data cannot tell from it: the set that is claimed, together with the cause.
     confidence
         Probability that this cause, or the first of its rivals, is a true one.
     """
@@ -107,7 +107,7 @@ class Cause(BaseModel):
                 if value["value"] is not None
             },
             closes=cause.get("closes"),
-            rivals=tuple(CauseName.of_diagnosis(rival) for rival in cause["rivals"]),
+            rivals=tuple(CauseName.of_diagnosis(rival) for rival in cause["indistinguishable_from"]),
             confidence=cause.get("confidence"),
         )
 
@@ -147,7 +147,6 @@ class Answer(BaseModel):
         ValidationError
             A number that is out of its range.
         """
-        printed = _with_graded_fields(printed)
         verdict, rest = printed["verdict"], printed["rest"] or {}
         causes = tuple(Cause.of_diagnosis(cause) for cause in printed["causes"])
         return cls(
@@ -155,7 +154,7 @@ class Answer(BaseModel):
             causes=causes
             if verdict in _ANNOUNCING
             else tuple(cause for cause in causes if cause.closes_half),
-            rest=0.0 if rest.get("in_noise") else rest.get("share_of_gap"),
+            rest=0.0 if rest.get("within_noise") else min(rest.get("share_of_gap", 1.0), 1.0),
         )
 
 
@@ -172,43 +171,3 @@ def _size(value: Mapping[str, Any]) -> Size:
     low, high = value["ci95"]
     interval = None if low is None or high is None else (low, high)
     return Size(value=value["value"], ci95=interval, unit=value.get("unit") or "")
-
-
-def _with_graded_fields(printed: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a diagnosis with `closes`, `rivals` and `rest`, where it was made before these were graded.
-
-    To be deleted, with `_all_rivals`, once no diagnosis lacks ``ladder``.
-    """
-    if "ladder" in printed:
-        return printed
-    causes = printed.get("causes", [])
-    removed = ((printed.get("shrinkage") or {}).get("share_removed") or {}).get("value")
-    verdict = {"not-in-library": "unexplained", "undecided": "cannot-tell"}.get(
-        printed["verdict"], printed["verdict"]
-    )
-    if verdict == "parameter":
-        verdict = "explained" if causes else "no-gap"
-    rest = None
-    if verdict in ("unexplained", "partly-explained"):
-        share = 1.0 - (removed or 0.0)
-        rest = {"share_of_gap": min(1.0, max(UNEXPLAINED, share))}
-    closes = removed if len(causes) == 1 else None
-    graded = [
-        {"closes": closes, "rivals": _all_rivals(cause, printed.get("candidates", [])), **cause}
-        for cause in causes
-    ]
-    return {**printed, "verdict": verdict, "causes": graded, "rest": rest}
-
-
-def _all_rivals(cause: Mapping[str, Any], candidates: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the rival that stands beside a cause, and all further ones of the table of candidates."""
-    name = CauseName.of_diagnosis(cause)
-    return [
-        *cause.get("indistinguishable_from", []),
-        *(
-            candidate
-            for candidate in candidates
-            if candidate["verdict"] == "indistinguishable"
-            and any(CauseName.of_diagnosis(other) == name for other in candidate["indistinguishable_from"])
-        ),
-    ]
