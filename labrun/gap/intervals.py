@@ -201,7 +201,10 @@ def values_of(
 def reference_values(
     problem: Problem, z: FloatArray, index: int, model: Model, dataset: Dataset
 ) -> dict[str, tuple[float, str]]:
-    """Return what the sizes of the effect at `index` refer to, with units: its parameters that were held."""
+    """Return what the sizes of the effect at `index` refer to, with units: its parameters that were held, but for zeros.
+
+    A shape that is held at zero is that of another form, which is not used.
+    """
     attached = problem.attached(problem.parameters(z))[index]
     units = effect_units(attached, model, dataset)
     pairs = zip(attached.effect.parameters, attached.values, strict=True)
