@@ -100,6 +100,16 @@ def resamples(strata: IntArray, count: int, rng: np.random.Generator) -> IntArra
     return drawn
 
 
+def tempered(frequency: float, count: int) -> float:
+    """Return a frequency among `count` resamples as a confidence: its log odds over one temperature.
+
+    Resampling the units shows the scatter between conditions, not that a form of the library stands in for another one.
+    """
+    inside = min(max(frequency, 0.5 / count), 1.0 - 0.5 / count)
+    odds = np.log(inside / (1.0 - inside)) / criteria.TEMPERATURE
+    return float(1.0 / (1.0 + np.exp(-odds)))
+
+
 def win_frequencies(
     base: FloatArray,
     errors: FloatArray,

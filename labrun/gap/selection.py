@@ -197,6 +197,8 @@ class Selector:
     _fewer: dict[Forms, CauseSet | None] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
+        gap = self._judged(self.base).error.squares
+        self.units = self.units.with_form_error_of(gap)
         self._best = self.reference = self._judged(self.base)
         self._drawn = decide.resamples(self.units.strata, criteria.RESAMPLES, self.rng)
 
@@ -325,7 +327,8 @@ class Selector:
                 for row in decide.near_best(table, strata)
                 if row != 0 and not self._is_needless_form(best, entries[row], candidate)
             ]
-            confidence = float(wins[0] + (wins[near[0]] if near else 0.0))
+            frequency = float(wins[0] + (wins[near[0]] if near else 0.0))
+            confidence = decide.tempered(frequency, len(self._drawn))
             returns = self.closes(without.error, best.error)
             rivals = tuple(entries[row] for row in near)
             chosen.append(Chosen(candidate, rivals, without, closes, returns, confidence))
