@@ -117,13 +117,13 @@ def error_of(
     beyond : per trial
         Squares that the trial's own deviations have beyond their spread: a deviation that all trials share is error.
     """
-    rows = []
+    rows: list[FloatArray] = []
     present = [group for group in range(len(data.conditions)) if data.of_group(group)]
     for group, blocks, (mean, count) in zip(present, units.blocks, group_means(data, residual), strict=True):
         own = float(np.mean([beyond[index] for index in data.of_group(group)])) if beyond else 0.0
         noise_of_mean = noise.mean_floor(group, count)
-        for part in np.array_split(np.square(mean / noise.sd), blocks):
-            rows.append(np.maximum(np.mean(part, axis=0) + own - noise_of_mean, 0.0))
+        parts = np.array_split(np.square(mean / noise.sd), blocks)
+        rows += [np.maximum(np.mean(part, axis=0) + own - noise_of_mean, 0.0) for part in parts]
     squares = np.array(rows)
     # without repeats the noise of a sample is known to its order only, and what is left below it says nothing
     log = np.mean(np.log(squares + 1.0 + units.form_error), axis=1)

@@ -15,7 +15,6 @@ from labrun.gap.noise import Noise
 from labrun.gap.pipeline import Search
 from labrun.gap.selection import CauseSet
 
-
 _NEW_CONDITIONS = 3
 """Conditions of the experiment that the interval of the share is for, where repeats show the noise."""
 _FORM_ERROR, _EXTRAPOLATED = 0.006, 0.6
