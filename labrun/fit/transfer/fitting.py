@@ -306,7 +306,8 @@ def _shortest_s(trials: Sequence[ResponseTrial]) -> float:
 
 def _longest_s(shape: Shape, trials: Sequence[ResponseTrial]) -> float:
     """Return the longest time constant that is searched."""
-    return total_s(trials) * 10.0 ** (_DECADES_OF_A_LAG if shape.is_first_order else _DECADES_BEYOND)
+    decades = _DECADES_OF_A_LAG if shape.is_first_order else _DECADES_BEYOND
+    return float(total_s(trials) * 10.0**decades)
 
 
 def derivatives(point: CandidatePoint, trials: Sequence[ResponseTrial]) -> list[FloatArray]:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field, NonNegativeFloat, PositiveFloat, model_va
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate, rounded
+from labrun.fit.dataset import DataCheck, unchecked
 from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.fit.signals import SignalSet, SignalTable, SignalTrial, load_signals
@@ -359,7 +360,9 @@ class ResponseTable(Keys):
     to_s: PositiveFloat | None = None
 
 
-def load_response(target: Path, table: ResponseTable) -> tuple[SignalSet, list[ResponseTrial]]:
+def load_response(
+    target: Path, table: ResponseTable, check: DataCheck = unchecked
+) -> tuple[SignalSet, list[ResponseTrial]]:
     """Load input and output of every trial that the table admits.
 
     The magnitude of a force at rest is that of its noise, never zero. So what is loaded as magnitude is the force along
@@ -374,7 +377,7 @@ def load_response(target: Path, table: ResponseTable) -> tuple[SignalSet, list[R
     wanted = {"input": given, "output": along}
     if output.take != "value":
         wanted["side"] = along.model_copy(update={"channel": output.side_channel, "scale": output.side_scale})
-    signals = load_signals(target, wanted, where=table.where)
+    signals = load_signals(target, wanted, where=table.where, check=check)
     hold = _stated_hold(target, given.channel)
     same: dict[bytes, FloatArray] = {}
     trials = []
@@ -521,7 +524,7 @@ def _fitted(
     fits = {}
     for name, table in responses.items():
         job.note(f"fitting {name}")
-        signals, trials = load_response(job.target, table)
+        signals, trials = load_response(job.target, table, job.check)
         fits[name] = fit_transfer(
             trials,
             shape,
