@@ -7,6 +7,7 @@ from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, mode
 
 from labrun.spec.condition import Value
 from labrun.spec.loop_tables import Track
+from labrun.spec.raw import condition_units
 from labrun.spec.search_tables import CmaEs, Combine, Design, Leaders, RunTable, Sweep
 from labrun.spec.specimens import ByHand, DamageTable
 from labrun.spec.trial_tables import CYCLES, TrialTable
@@ -117,7 +118,7 @@ class Experiment(Table):
     fit: FitTable | None = None
     gap: GapTable | None = None
     units: dict[str, str] = Field(default_factory=dict)
-    """Units of conditions and variables, for tables and figures."""
+    """Units of conditions and variables, for tables and figures: as the file states them, see `condition_units`."""
 
     @field_validator("objectives", mode="after")
     @classmethod
@@ -135,6 +136,13 @@ class Experiment(Table):
         if isinstance(data, dict) and data.get("kind") == "design" and "rig" not in data:
             return {**data, "rig": {"devices": {}}}
         return data
+
+    @model_validator(mode="before")
+    @classmethod
+    def _units_by_keys(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or not isinstance(data.get("units", {}), dict):
+            return data
+        return {**data, "units": condition_units(data)}
 
     @model_validator(mode="after")
     def _kind_has_its_table(self) -> "Experiment":

@@ -18,7 +18,8 @@ from labrun.store.disk import fsync_file, saving
 from labrun.store.packed_file import SAMPLE, TRIAL_INDEX
 from labrun.store.reading import Run
 from labrun.store.recording import is_recording
-from labrun.store.trial import TrialOutcome, variables
+from labrun.store.trial import TrialOutcome, Variable, variables
+from labrun.toml import unit_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -227,6 +228,8 @@ def _beside(run: Run, suffix: str) -> Path:
 def to_csv(run: Run, output: Path, outcomes: Sequence[TrialOutcome] | None = None) -> None:
     """Write one row a trial: index, conditions, repeat, status, objectives; then role, reason and times.
 
+    A heading carries the unit in brackets, ``thrust (N)``, unless its name ends in it, ``duration_s``.
+
     Numbers are written so that they come back bit for bit; an empty cell is a number that there is not.
 
     Raises
@@ -234,16 +237,23 @@ def to_csv(run: Run, output: Path, outcomes: Sequence[TrialOutcome] | None = Non
     StoreError
         The file cannot be written.
     """
-    columns = trial.variables(run.outcomes if outcomes is None else outcomes, {})
+    columns = trial.variables(run.outcomes if outcomes is None else outcomes, run.units())
     with saving(output.name, output.parent, "the run itself is untouched"):
         output.parent.mkdir(parents=True, exist_ok=True)
         with output.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow([column.name for column in columns])
+            writer.writerow([_heading(column) for column in columns])
             for row in zip(*(column.values.tolist() for column in columns), strict=True):
                 writer.writerow(
                     ["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row]
                 )
+
+
+def _heading(column: Variable) -> str:
+    """Return ``f (Hz)``; the name alone where it has no unit, or its ending says it."""
+    if column.unit in ("", "1") or unit_of(column.name) == column.unit:
+        return column.name
+    return f"{column.name} ({column.unit})"
 
 
 def to_netcdf(run: Run, output: Path) -> None:
