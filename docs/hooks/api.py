@@ -1,8 +1,8 @@
 """The reference of the Python API: readable in the repository, complete on the site.
 
-In the pages of ``docs/api`` a table of what a module has follows a line ``<!-- api: labrun.devices.limits -->``, with names
-behind the module if only some are meant. ``python docs/hooks/api.py`` writes the tables anew from the docstrings. On the
-site, mkdocstrings puts the whole docstrings in their place.
+In the pages of ``docs/api`` a table of what a module has follows a line ``<!-- api: labrun.devices.limits -->``, with
+names behind the module if only some are meant. ``python docs/hooks/api.py`` writes the tables anew from the docstrings.
+On the site, mkdocstrings puts the whole docstrings in their place.
 """
 
 import importlib

@@ -8,8 +8,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-from mkdocs.structure.files import File
-
 PLUGINS = Path(__file__).parents[2] / "plugins" / "labrun_plugins"
 _AT = "devices"
 _README = re.compile(r"\]\((?:\.\./)+(?:plugins/labrun_plugins/)?(\w+)/README\.md")
@@ -43,6 +41,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 def on_files(files: Any, config: Any) -> Any:
     """Add one page a device."""
+    from mkdocs.structure.files import File  # noqa: PLC0415  (the tests import this file without mkdocs)
+
     for name, path in readmes().items():
         files.append(File.generated(config, f"{_AT}/{name}.md", content=path.read_text(encoding="utf-8")))
     return files
