@@ -104,7 +104,7 @@ def test_a_file_with_two_loops_loads_and_its_resolved_text_is_equal(tmp_path):
         ("loop.force_error", "loop.force_eror", "37:11", 'did you mean "loop.force_error"'),
         ('plugin = "sine"', 'plugin = "release"', "13:10", "these can: formula, hold, sine"),
         ("rate_hz = 20\n", "", "17:2", 'the key "rate_hz" is missing'),
-        ("[rig.devices.wrench]", "[rig.devices.loop]", "9:2", "this name is taken"),
+        ("[rig.devices.wrench]", "[rig.devices.loop]", "9:2", "this name is reserved"),
     ],
 )
 def test_what_is_wrong_is_said_with_its_place_and_what_would_do(tmp_path, old, new, place, said):
@@ -145,5 +145,5 @@ def test_a_model_file_becomes_part_of_the_experiment(tmp_path):
 
 def test_a_kind_track_needs_its_table(tmp_path):
     text = GOOD.split("[track]", maxsplit=1)[0]
-    with pytest.raises(SpecError, match=r'"track" needs a table \[track\]'):
+    with pytest.raises(SpecError, match=r"needs a table \[track\]; add it"):
         loads_experiment(text, "wave")

@@ -100,7 +100,7 @@ def known_inverse(name: str) -> str:
             load_inverse(name)
         except PluginError as error:
             raise ValueError(
-                f"an inverse that is installed: {', '.join(registry.names(INVERSES))}"
+                f"expected an inverse that is installed: {', '.join(registry.names(INVERSES))}"
             ) from error
     return name
 
