@@ -177,7 +177,12 @@ SUFFIXES = {"csv": ".csv", "netcdf": ".nc"}
 
 
 def export_run(
-    run: Run, to: str, output: Path | None = None, *, outcomes: Sequence[TrialOutcome] | None = None
+    run: Run,
+    to: str,
+    output: Path | None = None,
+    *,
+    outcomes: Sequence[TrialOutcome] | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Path:
     """Write a run in another format.
 
@@ -190,6 +195,8 @@ def export_run(
         which is left as it is, ``<name>.csv`` in the current directory.
     outcomes
         Rows of the CSV in place of the run's own, for one that has columns more.
+    units
+        Of those columns, by name.
 
     Raises
     ------
@@ -212,7 +219,7 @@ def export_run(
             hint="name another --output",
         )
     if to == "csv":
-        to_csv(run, target, outcomes)
+        to_csv(run, target, outcomes, units)
     else:
         to_netcdf(run, target)
     return target
@@ -225,7 +232,12 @@ def _beside(run: Run, suffix: str) -> Path:
     return folder / f"{run.name}-{run.identifier}{suffix}"
 
 
-def to_csv(run: Run, output: Path, outcomes: Sequence[TrialOutcome] | None = None) -> None:
+def to_csv(
+    run: Run,
+    output: Path,
+    outcomes: Sequence[TrialOutcome] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> None:
     """Write one row a trial: index, conditions, repeat, status, objectives; then role, reason and times.
 
     A heading carries the unit in brackets, ``thrust (N)``, unless its name ends in it, ``duration_s``.
@@ -237,7 +249,9 @@ def to_csv(run: Run, output: Path, outcomes: Sequence[TrialOutcome] | None = Non
     StoreError
         The file cannot be written.
     """
-    columns = trial.variables(run.outcomes if outcomes is None else outcomes, run.units())
+    columns = trial.variables(
+        run.outcomes if outcomes is None else outcomes, {**run.units(), **(units or {})}
+    )
     with saving(output.name, output.parent, "the run itself is untouched"):
         output.parent.mkdir(parents=True, exist_ok=True)
         with output.open("w", newline="", encoding="utf-8") as file:

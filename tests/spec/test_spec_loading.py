@@ -120,7 +120,7 @@ def test_a_misspelt_name_comes_with_the_nearest_valid_one(problems, old, new, ke
         ('carriage = { device = "wrench", speed_m_s = 1, to_m = 1 }', "trial.carriage.device", "cannot travel"),
         ("safe_pose_deg = { tial = 0 }", "trial.safe_pose_deg.tial", 'did you mean "tail"?'),
         ('tare = { devices = ["wrnch"] }', "trial.tare.devices[0]", 'did you mean "wrench"?'),
-        ("duration_s = 3", "trial.duration_s", "give cycles, duration_s or until"),
+        ("duration_s = 3", "trial.duration_s", "give one of cycles, duration_s and until"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_together_is_told(problems, extra, key, says):

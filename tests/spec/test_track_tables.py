@@ -84,8 +84,8 @@ def test_a_file_with_two_loops_loads_and_its_resolved_text_is_equal(tmp_path):
             'the gait does not use this name; did you mean "a"',
         ),
         ('drives    = "b"', 'drives    = "a"', "30:13", "the loop force drives this already"),
-        ('drives    = "b"', 'drives    = "gain"', "30:13", "this is a value of the conditions"),
-        ("frequency_hz = 1.4", 'frequency_hz = "1 + a / 60"', "14:71", "a loop cannot set this key"),
+        ('drives    = "b"', 'drives    = "gain"', "30:13", "the conditions set this value already"),
+        ("frequency_hz = 1.4", 'frequency_hz = "1 + a / 60"', "14:71", "a loop cannot change this key"),
         ('"wrench.torque_y"', '"wrench.torqe_y"', "25:52", 'did you mean "wrench.torque_y"'),
         (
             '"wrench.torque_y"',
