@@ -87,7 +87,9 @@ class ReducedChannel(ChannelObjective):
 
 
 def per_metre(unit: str) -> str:
-    """Return a unit divided by metres: "N" for "N m"."""
+    """Return a unit divided by metres: "N" for "N m"; an unknown unit, "", stays unknown."""
+    if not unit:
+        return ""
     return unit.removesuffix(" m") if unit.endswith(" m") else f"{unit}/m"
 
 

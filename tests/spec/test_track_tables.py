@@ -102,7 +102,7 @@ def test_a_file_with_two_loops_loads_and_its_resolved_text_is_equal(tmp_path):
         ("{ gain = 0.009 }", '"models/fin.toml"', "28:61", 'there is no file "models/fin.toml"'),
         ("{ gain = 0.009 }", "{ lag_s = 3 }", "28:53", "a model needs its gain"),
         ("loop.force_error", "loop.force_eror", "37:11", 'did you mean "loop.force_error"'),
-        ('plugin = "sine"', 'plugin = "release"', "13:10", "these can: formula, hold, sine"),
+        ('plugin = "sine"', 'plugin = "release"', "13:10", "it can steer formula, hold, sine"),
         ("rate_hz = 20\n", "", "17:2", 'the key "rate_hz" is missing'),
         ("[rig.devices.wrench]", "[rig.devices.loop]", "9:2", "this name is reserved"),
     ],

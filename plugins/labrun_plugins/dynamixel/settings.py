@@ -88,7 +88,7 @@ limits = { angle_deg = [-90, 90], speed_deg_s = 180 }"""
     def _known_baud(cls, baud: int) -> int:
         if baud not in BAUD_CODES:
             raise ValueError(
-                f"expected one of a Dynamixel's rates: {', '.join(str(known) for known in BAUD_CODES)}"
+                f"expected one of {', '.join(str(known) for known in BAUD_CODES)}, the rates of a Dynamixel"
             )
         return baud
 
