@@ -49,6 +49,7 @@ from labrun.search import (
     honest_best,
     levels_of,
     most_trials,
+    range_end_notes,
     read_generations,
     reason_lines,
     resume_line,
@@ -143,6 +144,8 @@ def measure_all(
     """Measure what the experiment asks for, name the honest best, and say how a search ended."""
     measures: Measures = session
     settings, goal = settings_of(experiment), experiment.goal
+    planner = Planner(experiment, rig, session.motions)
+    excess_of = excess_at_settings(planner.excess_of, settings)
     if experiment.over and goal is not None:
         measures = OverSettings(session, settings, experiment.combine, goal[1])
 
@@ -151,7 +154,7 @@ def measure_all(
             return None
         progress.phase("fresh repeats of the leaders")
         guests = [{**guest, **level} for guest in experiment.leaders.guests]
-        return honest_best(
+        best = honest_best(
             measures,
             found,
             objective=goal[0],
@@ -160,6 +163,9 @@ def measure_all(
             leaders=experiment.leaders,
             guests=guests,
         )
+        if best is None:
+            return None
+        return replace(best, range_ends=range_end_notes(experiment, best.parameters, excess_of))
 
     def expect(trials: int | None) -> None:
         """Say how many trials there will be, here and to whoever watches the run from elsewhere."""
@@ -168,7 +174,6 @@ def measure_all(
 
     if experiment.cmaes is not None and experiment.kind == "cmaes":
         expect(most_trials(experiment, ()))
-        planner = Planner(experiment, rig, session.motions)
 
         def guarded(condition: Condition) -> list[Excess]:
             return [*planner.excess_of(condition), *guard_excesses(experiment, session.motions, condition)]

@@ -6,7 +6,15 @@ from pathlib import Path
 
 from labrun.app.leaders import with_leaders
 from labrun.errors import PlanError, RequestError, SpecError
-from labrun.runner import ConditionExcess, MotionMaker, Plan, Planner, Rig, SimulatedClock
+from labrun.runner import (
+    ConditionExcess,
+    MotionMaker,
+    Plan,
+    Planner,
+    Rig,
+    SimulatedClock,
+    untared_objectives,
+)
 from labrun.search import (
     ConstraintError,
     allowed_points,
@@ -137,6 +145,7 @@ def whole_plan(
 
         loop_recorder(experiment, planner.rig).require_makeable(chosen)
     found = _counted(planner.plan(chosen) if found is None else found, experiment, chosen, len(asked))
+    found = replace(found, notes=(*found.notes, *untared_objectives(experiment, planner.rig)))
     reference = experiment.trial.reference
     beside = at_settings(
         experiment.leaders.guests, at_settings(levels_of(experiment), settings_of(experiment))

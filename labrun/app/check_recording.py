@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -122,19 +122,19 @@ def check_recording(target: str | Path, *, model: str | Path | None = None) -> C
         folder = find_data(target, Path("results"))
     recording = read_recording(folder)
     if model is None and not (folder / "model.toml").is_file():
-        data = load_dataset(folder, OutputsAlone(recording.outputs, recording.inputs))
-        require_informative(data)
+        data, remarks = checked_trials(
+            load_dataset(folder, OutputsAlone(recording.outputs, recording.inputs))
+        )
         return CheckedRecording(
             folder,
             recording,
             "",
             {},
-            (*_doubts(recording), *_clocks(data), "no model.toml beside it: only the recording was checked"),
+            (*doubts(recording), *remarks, "no model.toml beside it: only the recording was checked"),
             f"labrun fit {folder} --model FILE, or labrun check {folder} --model FILE",
         )
     loaded, signals = held_against(folder, None if model is None else named_model(model, Path()), Path())
-    data = load_held(folder, loaded, signals)
-    require_informative(data)
+    data, remarks = checked_trials(load_held(folder, loaded, signals))
     off, said = _held(loaded, data)
     named = "" if model is None else f" --model {model}"
     return CheckedRecording(
@@ -142,7 +142,7 @@ def check_recording(target: str | Path, *, model: str | Path | None = None) -> C
         recording,
         loaded.name,
         off,
-        (*_doubts(recording), *_clocks(data), *said, *_of_robot(folder, model)),
+        (*doubts(recording), *remarks, *said, *_of_robot(folder, model)),
         f"labrun gap diagnose {folder}{named}",
     )
 
@@ -156,18 +156,30 @@ def _channels(recording: Recording) -> Iterator[tuple[str, str, str, float, floa
             yield info.name, kind, info.unit, float(np.min(values)), float(np.max(values))
 
 
-def _doubts(recording: Recording) -> Iterator[str]:
+def checked_trials(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
+    """Return the trials that can be fitted, and in sentences what was found of their clocks.
+
+    Raises
+    ------
+    RecordingError
+        An output does not move, or time jumps in every trial.
+    """
+    require_informative(data)
+    checked = with_sound_clocks(data)
+    excluded = len(data.trials) - len(checked.dataset.trials)
+    return (
+        replace(checked.dataset, left_out=data.left_out + excluded),
+        (*checked.limitations, *checked.notes),
+    )
+
+
+def doubts(recording: Recording) -> Iterator[str]:
     """Yield what numbers alone make doubtful."""
     for name, kind, unit, low, high in _channels(recording):
         if unit == "rad" and _TURNED_TOO_FAR < max(-low, high) < _DEGREES:
             yield f"{name} is said to be in rad and reaches {max(-low, high):.4g}: is it in degrees?"
         if kind == "input" and low == high:
             yield f"{name} is {low:.4g} throughout: nothing was told to move, or another column was meant"
-
-
-def _clocks(data: Dataset) -> tuple[str, ...]:
-    checked = with_sound_clocks(data)
-    return (*checked.limitations, *checked.notes)
 
 
 def _held(model: Model, data: Dataset) -> tuple[dict[str, tuple[float, float]], list[str]]:

@@ -12,6 +12,7 @@ from labrun.app.kept import FOLDER as GAP_FOLDER
 from labrun.app.kept import PAGE, read_stored
 from labrun.errors import RequestError, StoreError
 from labrun.report import (
+    DRIFT_SUFFIX,
     Drift,
     Findings,
     RunView,
@@ -217,4 +218,5 @@ def export(
     with open_target(str(target), Path(results)) as run:
         removed = drift_of(run) if remove_drift else []
         outcomes = without_drift(run.outcomes, removed) if removed else None
-        return export_run(run, to, output, outcomes=outcomes), removed
+        units = {f"{item.objective}{DRIFT_SUFFIX}": item.unit for item in removed}
+        return export_run(run, to, output, outcomes=outcomes, units=units), removed

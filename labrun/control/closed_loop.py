@@ -16,7 +16,6 @@ from labrun.errors import SpecError
 from labrun.gaits import Steering, make_gait, steering_of
 from labrun.runner import LEAD_S, TAIL_S, Handle, Rig, SimulatedClock, TrialRecording
 from labrun.spec import LOOP_DEVICE, TIMING_CHANNELS, Experiment, LoopTable, Track, condition_text
-from labrun.toml import unit_of
 
 _SAME_S = 1e-6
 """Two points of a command are further apart than this."""
@@ -151,24 +150,13 @@ def channels_of(
         of_feedback = [one.unit for one in feedbacks[name]]
         if len(of_feedback) == 1:  # of a vector, too
             of_feedback *= len(shape.components)
-        of_drives = [variable_unit(experiment, variable) for variable in table.drives]
+        of_drives = [experiment.units.get(variable, "") for variable in table.drives]
         units = [*3 * of_feedback, *2 * of_drives, *shape.more.values()]
         found += [Channel(c, unit or "1") for c, unit in zip(shape.channels(name), units, strict=True)]
     return (
         *found,
         *(Channel(name, unit) for name, unit in zip(TIMING_CHANNELS, ("s", "s", "s", "1"), strict=True)),
     )
-
-
-def variable_unit(experiment: Experiment, variable: str) -> str:
-    """Return the unit of a variable: as [units] says, else as the key of the gait that takes it as it stands."""
-    if variable in experiment.units:
-        return experiment.units[variable]
-    for keys in experiment.gait.joints.values():
-        for key, expression in keys.items():
-            if expression.text.strip() == variable:
-                return unit_of(key) or ""
-    return ""
 
 
 _LOOK_S = 0.05
@@ -407,7 +395,7 @@ class ClosedLoopRecorder:
             table.start,
             components=table.shape.components,
             unit=self._feedbacks[name][0].unit,
-            drives={variable: variable_unit(self._experiment, variable) for variable in table.drives},
+            drives={variable: self._experiment.units.get(variable, "") for variable in table.drives},
             rig="" if scene is None else scene.plugin,
             simulated=self._simulated,
         )

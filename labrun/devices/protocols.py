@@ -193,7 +193,11 @@ class Attended(Arranging, Actuator, Protocol):
 
 @runtime_checkable
 class Sensor(Device, Protocol):
-    """Streams samples."""
+    """Streams samples.
+
+    One of forces or torques that needs no tare, because a calibration or a bias takes its offset off or because its
+    values are computed, has ``zero_known = True``: `labrun check` then does not ask for one.
+    """
 
     channels: tuple[Channel, ...]
     rate_hz: float

@@ -11,7 +11,7 @@ from labrun import UseCasePackage
 from labrun.report.data import RunView, experiment_of
 from labrun.report.findings import Findings, StoredFit, StoredGap
 from labrun.report.live import LiveProgress, PlainProgress, Snapshot, State, event_text, render, watch
-from labrun.report.statistics import Drift, drift_of, without_drift
+from labrun.report.statistics import DRIFT_SUFFIX, Drift, drift_of, without_drift
 from labrun.report.terminal import keys_text, plan_text, print_findings, remark_text
 from labrun.report.text import aligned, counted, duration_text, interval_text, short_time_text
 
@@ -49,6 +49,7 @@ _LATER = {
 """Modules that are loaded when one of their names is asked for."""
 
 __all__ = [
+    "DRIFT_SUFFIX",
     "Drift", "Findings", "LiveProgress", "PlainProgress", "RunView", "Snapshot", "State", "StoredFit", "StoredGap",
     "aligned", "as_svg", "check_text", "compared_text", "comparison_figure", "comparison_json", "comparison_text",
     "counted", "diagnosis_figure", "diagnosis_page", "draw_design", "draw_figure", "drift_of", "duration_text",

@@ -126,6 +126,7 @@ def _best(findings: Findings) -> Mapping[str, str] | None:
         "below": below,
         "luckiest": quantity_text(best.luckiest, best.unit),
         "at": named_condition(best.parameters, findings.experiment.units),
+        "range_ends": "; ".join(best.range_ends),
     }
 
 

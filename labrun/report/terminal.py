@@ -149,6 +149,7 @@ def _best(best: Best) -> Text:
         (interval_text(best.value, best.ci95, best.unit), "bold green"),
         f" (95 % interval, {best.trials} confirming trials)\n",
         f"  at {condition_text(best.parameters)}\n",
+        *(f"  {note}\n" for note in best.range_ends),
         (f"  luckiest single trial {quantity_text(best.luckiest, best.unit)}", "dim"),
     )
 

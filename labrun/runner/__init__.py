@@ -22,6 +22,7 @@ from labrun.runner.rig import Rig
 from labrun.runner.safety import Interrupted, LimitReached
 from labrun.runner.session import Progress, Session, SilentProgress
 from labrun.runner.settle import unsettled
+from labrun.runner.tare import untared_objectives
 from labrun.runner.until import UntilRecorder
 
 __all__ = [
@@ -30,6 +31,6 @@ __all__ = [
     "Planner", "Progress", "RealClock", "Recorder", "Rig", "Scripted", "SearchSpace", "Session", "SilentProgress",
     "SimulatedClock", "SpaceBreak", "TrialMotion", "TrialRecording", "UntilRecorder", "Willing",
     "examine_machine", "examine_rig", "find_devices", "guard_excesses", "has_emulator", "percent", "ports_of",
-    "record_planned", "resolve_device", "smooth_move", "unsettled", "within_bounds", "worn_before",
-    "worn_specimens",
+    "record_planned", "resolve_device", "smooth_move", "unsettled", "untared_objectives", "within_bounds",
+    "worn_before", "worn_specimens",
 ]  # fmt: skip

@@ -164,6 +164,7 @@ class _Search:
             reason,
             self._spreads,
             budget_spent=self._watch.over,
+            is_constant=self._is_constant(),
             goal=self._table.stop.step_size_below,
             trials=self._watch.trials,
             trials_each=self._trials_of(self._population),
@@ -281,6 +282,11 @@ class _Search:
             (cost, item) for item in self._known.values() if (cost := item.cost(self._sign)) is not None
         ]
         return min(measured, key=lambda one: one[0])[1] if measured else None
+
+    def _is_constant(self) -> bool:
+        """Tell whether all trials of at least two different candidates gave the same value, to the last bit."""
+        measured = [candidate.values for candidate in self._known.values() if candidate.values]
+        return len(measured) > 1 and len({value for values in measured for value in values}) == 1
 
     def _keep(
         self, strategy: Strategy, restart: int, candidates: Sequence[SearchCandidate], known: int

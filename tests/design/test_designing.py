@@ -189,7 +189,7 @@ def test_a_constraint_in_unknown_names_is_told_with_its_place(paddle):
 
 def test_devices_and_carriages_have_no_place_in_a_design(paddle):
     path = paddle(("[trial]", '[rig.devices.a]\nplugin = "arduino-servo"\nport = "x"\n[trial]'))
-    with pytest.raises(SpecError, match="a design is simulated, and has no devices"):
+    with pytest.raises(SpecError, match="a design is simulated and has no devices"):
         found(path)
 
 

@@ -240,7 +240,7 @@ class LeastSquaresFit(WithSettings[LeastSquaresSettings]):
                 "least-squares takes one run", hint="repeat its trials instead: [trial] repeats"
             )
         wanted = joined(settings.inputs, settings.outputs)
-        data = load_signals(job.target, wanted, rate_hz=settings.rate_hz)
+        data = load_signals(job.target, wanted, rate_hz=settings.rate_hz, check=job.check)
         groups = _groups(data, settings)
         raw, matrices = {}, {}
         for name, terms in settings.baskets.items():
