@@ -343,7 +343,8 @@ class Session:
                 f"trial {request.index} of {self._folder.path} measured {condition_text(outcome.condition)} "
                 f"({outcome.role}), "
                 f"but the plan has {condition_text(request.condition)} ({request.role}) there",
-                hint="the plan, the seed or labrun itself is not the one this run began with: start a new run",
+                hint="spec.toml or provenance.json of the run was edited, or this version of labrun orders trials "
+                "differently; the stored trials stay readable, start a new run for the others",
             )
         if outcome.reason.startswith((OUTLIER, SET_ASIDE)):
             # Rejected later, by what followed: at this point of the run it still counted.
