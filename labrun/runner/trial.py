@@ -10,6 +10,7 @@ from labrun.errors import DeviceError, ExperimentError, LabrunError
 from labrun.runner.asking import Asking, Onlooker, Person, Willing
 from labrun.runner.bench import Bench
 from labrun.runner.damage import Damage
+from labrun.runner.following import require_followed
 from labrun.runner.measurement import ObjectiveError, ObjectiveEvaluation
 from labrun.runner.motion import MotionMaker, TrialMotion
 from labrun.runner.recording import Recorder, SampleCollector, TrialRecording, TrialRequest
@@ -141,7 +142,7 @@ class TrialRunner:
         writer = self._folder.writer(request.index)
         draft = _Draft(request, self._bench, writer, self._table.discard_cycles)
         try:
-            self._measure(request, draft)
+            self._measure(request, draft, writer)
         except DeviceError as fault:
             self._stop(request.index, fault)
             fault.happened(f"in trial {request.index}", draft.outcome.started_s)
@@ -164,7 +165,7 @@ class TrialRunner:
             raise
         return TrialResult(self._store(draft, writer), raised=raised)
 
-    def _measure(self, request: TrialRequest, draft: _Draft) -> None:
+    def _measure(self, request: TrialRequest, draft: _Draft, writer: TrialWriter) -> None:
         """Do everything that moves or waits."""
         motion = draft.motion = self._motions.motion(request.condition)
         draft.know(duration_s=motion.duration_s, period_s=motion.period_s)
@@ -180,6 +181,7 @@ class TrialRunner:
         else:
             draft.know(tare=tare(self._bench, self._table.tare))
             self._record(request, motion, draft)
+            self._require_well(draft, writer)
         self._come_to_safe_pose(request.index)
         self._bench.stop_sensors()
         self._rig.disarm()
@@ -246,6 +248,24 @@ class TrialRunner:
                 draft.motion = replace(motion, trajectory=sent)
             for name, device in self._rig.paced.items():
                 self._journal("commands", index=request.index, device=name, **asdict(device.pacing()))
+
+    def _require_well(self, draft: _Draft, writer: TrialWriter) -> None:
+        """Make sure that no device restarted, lost its torque or left its command during the recording.
+
+        Raises
+        ------
+        DeviceError
+            One did: what was recorded is not what the trial was to show.
+        """
+        self._bench.check_health()
+        motion, recording = draft.motion, draft.recording
+        if (
+            motion is None or recording is None or recording.fault
+        ):  # stopped on purpose, before its motion was over
+            return
+        recorded = writer.signals(draft.outcome.started_s, draft.outcome.tare)
+        until = self._table.until is not None
+        require_followed(self._table.follow, self._rig, recorded, motion, periodic=until)
 
     def _come_to_safe_pose(self, index: int) -> None:
         if self._safe_pose:

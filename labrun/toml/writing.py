@@ -5,8 +5,6 @@ from typing import Any
 
 import tomli_w
 
-from labrun.toml.faults import KeyPath
-
 _LINE = 100
 """A list of tables longer than this is written with one table a line."""
 
@@ -21,7 +19,7 @@ def written_in_order(table: Mapping[str, Any]) -> str:
     return "\n".join(_section((), table)).strip() + "\n"
 
 
-def _section(path: KeyPath, table: Mapping[str, Any]) -> Iterator[str]:
+def _section(path: tuple[str, ...], table: Mapping[str, Any]) -> Iterator[str]:
     plain = [index for index, value in enumerate(table.values()) if not isinstance(value, Mapping)]
     count = plain[-1] + 1 if plain else 0
     items = list(table.items())
@@ -35,7 +33,7 @@ def _section(path: KeyPath, table: Mapping[str, Any]) -> Iterator[str]:
         yield from _section((*path, key), value)
 
 
-def _assignments(path: KeyPath, value: Any) -> Iterator[str]:
+def _assignments(path: tuple[str, ...], value: Any) -> Iterator[str]:
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():
             yield from _assignments((*path, key), inner)
@@ -43,7 +41,7 @@ def _assignments(path: KeyPath, value: Any) -> Iterator[str]:
         yield f"{_key(path)} = {_value(value)}"
 
 
-def _key(path: KeyPath) -> str:
+def _key(path: tuple[str, ...]) -> str:
     return ".".join(tomli_w.dumps({part: 0}).removesuffix(" = 0\n") for part in path)
 
 

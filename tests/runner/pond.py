@@ -103,6 +103,7 @@ class Servo:
         reopen_fails: bool = False
         identify_fails: bool = False
         stop_hangs_s: float = 0.0
+        restarts_after_s: float | None = None
 
     def __init__(self, name, settings, context):
         self.name = name
@@ -127,6 +128,9 @@ class Servo:
         return Identity("pond servo", serial="1")
 
     def health(self):
+        restarts = self.settings.restarts_after_s
+        if restarts is not None and self.clock.now() - self.opened_s > restarts:
+            return Health(ok=False, notes=("it restarted, its torque is off",))
         hot = self.settings.hot_after_s
         if hot is not None and self.clock.now() - self.opened_s > hot:
             return Health(temperature_c=90.0)
@@ -173,6 +177,33 @@ class Servo:
     @classmethod
     def emergency_stop(cls, name, settings):
         witness(settings.stop_log, f"emergency_stop {name} {os.getpid()}")
+
+
+class EncoderServo(Servo):
+    """Measures its joint at 100 samples/s; it lags, and jams where it is told to."""
+
+    class Settings(Servo.Settings):
+        """With the times on the clock between which the joint is blocked."""
+
+        jams_s: tuple[float, float] = (1e9, 1e9)
+        lag_s: float = 0.02
+
+    channels = (Channel("tail_angle", "rad"),)
+    rate_hz = 100.0
+
+    def start(self):
+        self.next_s = self.clock.now()
+
+    def read(self):
+        count = int((self.clock.now() - self.next_s) * self.rate_hz + 1e-6)
+        times = self.next_s + np.arange(count) / self.rate_hz
+        self.next_s += count / self.rate_hz
+        begin, end = self.settings.jams_s
+        free = np.where((times > begin) & (times < end), begin, times)
+        return Samples(times, times, self.scene.angle(free - self.settings.lag_s)[:, None])
+
+    def stop(self):
+        pass
 
 
 class Cell:
