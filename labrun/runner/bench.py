@@ -173,7 +173,7 @@ class Bench:
     ) -> None:
         self.rig = rig
         self.clock = clock
-        self._check_stop = check_stop
+        self.check_stop = check_stop
         self._beat = beat
         self._watches = {n: SensorWatch(n, s, rig.limits[n], clock) for n, s in rig.sensors.items()}
         self._pose_due_s = -np.inf
@@ -217,7 +217,7 @@ class Bench:
         DeviceError
             A device fell silent, answered nonsense, is not well, or left a limit.
         """
-        self._check_stop()
+        self.check_stop()
         self._beat()
         blocks = {name: watch.read() for name, watch in self._watches.items() if watch.running}
         now_s = self.clock.now()

@@ -69,7 +69,8 @@ class Rig:
         self.emulated = emulated
         self.watchdog: Watchdog | None = None
         self._watchdog_s = watchdog_s
-        self._all_stopped = True
+        self.unstopped: list[str] = []
+        """What the latest `safe_stop` could not stop, and why."""
         self.devices: dict[str, Device] = {}
         self.limits: dict[str, Limits] = {}
         for number, item in enumerate(resolved):
@@ -180,16 +181,16 @@ class Rig:
         """Disconnect every device, whatever each of them says; the watchdog stops what `safe_stop` could not."""
         self._each(self.devices, lambda device: device.close())
         if self.watchdog is not None:
-            if self._all_stopped:
-                self.watchdog.end()
-            else:
+            if self.unstopped:
                 self.watchdog.abandon()
+            else:
+                self.watchdog.end()
             self.watchdog = None
 
     def safe_stop(self) -> list[str]:
         """Stop all motion, at any moment, from any thread; never raises. Return what could not be stopped, and why."""
         failures = stop_all({**self.actuators, **self.carriages}, self.beat)
-        self._all_stopped = not failures
+        self.unstopped = failures
         return failures
 
     def identities(self) -> dict[str, Identity]:

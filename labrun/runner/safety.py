@@ -1,25 +1,17 @@
 """Stopping everything that moves, first thing on any exit; how a run or a trial ends early; the watchdog."""
 
 import os
-import signal
 import subprocess
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from types import FrameType, TracebackType
-from typing import Any
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from types import TracebackType
 
 from labrun.devices import Device, processes
 from labrun.devices.clock import RealClock
 from labrun.devices.processes.watchdog import ARM, BEAT, DISARM, QUIT, READY
 from labrun.errors import DeviceError, ExperimentError, LabrunError, PluginError
 from labrun.runner.resolve import ResolvedDevice
-
-
-class Interrupted(LabrunError):  # noqa: N818  being asked to stop is not an error
-    """Ctrl-C or SIGTERM: actuators stopped, data kept; the hint says how to go on."""
-
-    exit_code = 130
 
 
 class LimitReached(Exception):  # noqa: N818  a stop that was asked for is not an error
@@ -107,44 +99,6 @@ def stop_all(devices: Mapping[str, Device], beat: Callable[[], object] = lambda:
         if thread.is_alive():
             failures[name] = f"{name} did not stop within {PATIENCE_S:g} s"
     return list(failures.values())
-
-
-class StopRequest:
-    """Whether a person or the system asked the run to end."""
-
-    def __init__(self) -> None:
-        self.reason: str | None = None
-
-    def check(self) -> None:
-        """Raise Interrupted if the run was asked to end."""
-        if self.reason is not None:
-            raise Interrupted(f"interrupted by {self.reason}: actuators are stopped, data is kept")
-
-
-@contextmanager
-def interruptible(stop: Callable[[], object]) -> Iterator[StopRequest]:
-    """Turn Ctrl-C and SIGTERM into a stop at once and a request that the run sees at its next look at the bench.
-
-    The handler only stops the actuators and notes the request, so that it can never cut a file being written; asking
-    again stops again. Outside the main thread, where Python has no signal handlers, nothing is installed.
-    """
-    request = StopRequest()
-    if threading.current_thread() is not threading.main_thread():
-        yield request
-        return
-
-    def handle(number: int, _frame: FrameType | None) -> None:
-        request.reason = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
-        stop()
-
-    previous: dict[signal.Signals, Any] = {}
-    for wanted in (signal.SIGINT, signal.SIGTERM):
-        previous[wanted] = signal.signal(wanted, handle)
-    try:
-        yield request
-    finally:
-        for wanted, handler in previous.items():
-            signal.signal(wanted, handler)
 
 
 _START_S = 30.0

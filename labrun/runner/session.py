@@ -1,12 +1,14 @@
 """A session at the bench: conditions in, measurements out; every trial stored on the way."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Self
 
 from labrun.devices import Clock
 from labrun.devices.clock import RealClock
 from labrun.errors import DeviceError, ExperimentError, LimitExceededError, RecordingError
+from labrun.interrupts import Interrupted, Interrupts, handled
 from labrun.runner.asking import Person, Willing
 from labrun.runner.bench import Bench
 from labrun.runner.by_hand import SET_ASIDE, Mounting, Mountings
@@ -16,7 +18,7 @@ from labrun.runner.motion import MotionMaker
 from labrun.runner.plan import check_wiring
 from labrun.runner.recording import Recorder, TrialRequest, record_planned
 from labrun.runner.rig import Rig
-from labrun.runner.safety import LimitReached, StopRequest, interruptible
+from labrun.runner.safety import LimitReached
 from labrun.runner.settle import needs_baseline, unsettled
 from labrun.runner.trial import TrialRunner
 from labrun.spec import Condition, Experiment, RepeatRule, condition_text
@@ -117,7 +119,7 @@ class Session:
         self._progress: Progress = progress if progress is not None else SilentProgress()
         self._limit = limit
         self._told = taken
-        self._request = StopRequest()
+        self._interrupts = Interrupts()
         self._bench = Bench(rig, clock, self._check_stop, rig.beat)
         self._trials = TrialRunner(
             experiment,
@@ -197,7 +199,7 @@ class Session:
         Raises
         ------
         Interrupted
-            Ctrl-C or SIGTERM; actuators are stopped, data is kept.
+            Ctrl-C, SIGTERM or SIGHUP; actuators are stopped, data is kept.
         LimitReached
             As many new trials as asked for are done.
         DeviceError, LimitExceededError, SettleError, StoreError
@@ -211,14 +213,30 @@ class Session:
         found = [Measurement(condition, role, ()) for condition in conditions]
         self._decided = self.index
         self._tell_worn(conditions)
-        with interruptible(self._rig.safe_stop) as self._request:
+        with self._stopping_when_asked():
             self._hands.plan(
                 conditions, order, seed=self._seed, trial_index=self.index, damages=self._damage.would
             )
             while mounting := self._hands.next(self.index):
                 self._mounting = mounting.number
                 self._measure_block(mounting, found, rule, order)
+            self._check_stop()
         return [self._as_marked(item) for item in found]
+
+    @contextmanager
+    def _stopping_when_asked(self) -> Iterator[None]:
+        """Stop the actuators as soon as a signal asks to stop; the run sees it at its next look at the bench.
+
+        A signal therefore never cuts a file that is being written.
+        """
+        with handled() as self._interrupts, self._interrupts.held(self._rig.safe_stop):
+            try:
+                yield
+            except Interrupted as error:
+                if self._rig.unstopped:
+                    reasons = "; ".join(self._rig.unstopped)
+                    raise Interrupted(error.number, f": {reasons}; data is kept") from error
+                raise
 
     def _tell_worn(self, conditions: Sequence[Condition]) -> None:
         """Say which specimens earlier runs left damaged; refuse a plan of nothing else."""
@@ -302,7 +320,7 @@ class Session:
         self._bench.clock.sleep(self._bench.clock.poll_s)
 
     def _check_stop(self) -> None:
-        self._request.check()
+        self._interrupts.check()
 
     def _reference_if_due(self) -> None:
         reference = self._experiment.trial.reference

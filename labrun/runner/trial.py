@@ -142,7 +142,7 @@ class TrialRunner:
         writer = self._folder.writer(request.index)
         draft = _Draft(request, self._bench, writer, self._table.discard_cycles)
         try:
-            self._measure(request, draft, writer)
+            self._measure_until_asked_to_stop(request, draft, writer)
         except DeviceError as fault:
             self._stop(request.index, fault)
             fault.happened(f"in trial {request.index}", draft.outcome.started_s)
@@ -164,6 +164,14 @@ class TrialRunner:
             self._keep_unfinished(draft, writer, error)
             raise
         return TrialResult(self._store(draft, writer), raised=raised)
+
+    def _measure_until_asked_to_stop(self, request: TrialRequest, draft: _Draft, writer: TrialWriter) -> None:
+        """Measure; a device that complains because it was stopped on request has no fault."""
+        try:
+            self._measure(request, draft, writer)
+        except DeviceError:
+            self._bench.check_stop()
+            raise
 
     def _measure(self, request: TrialRequest, draft: _Draft, writer: TrialWriter) -> None:
         """Do everything that moves or waits."""

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from labrun.interrupts import ignore_signals
 from labrun.registry import load
 
 ARM, DISARM, BEAT, QUIT = b"A", b"D", b".", b"Q"
@@ -84,8 +85,7 @@ def _kill(pipe: int, runner_pid: int) -> None:
 
 def main() -> int:
     """Run the watchdog until the runner ends."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # Ctrl-C is for the runner; this process outlives it
+    ignore_signals()  # Ctrl-C is for the runner; this process outlives it
     pipe = sys.stdin.fileno()
     line = b""
     while not line.endswith(b"\n"):
