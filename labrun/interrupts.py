@@ -10,7 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import FrameType
 from typing import Any
 
@@ -20,6 +20,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _NAMES = {signal.SIGINT: "Ctrl-C", signal.SIGHUP: "SIGHUP (the terminal was closed)"}
 _LOST_S = 10.0
 """A signal that comes so long after the one that was raised is raised as well: something swallowed the first."""
+_PATIENCE_S = 2.0
+"""How long after a signal a call under way may last until it is asked whether it hangs."""
 _STOP_AGAIN_S = 1.0
 """Signals stop the actuators at most so often: a flood of them must not keep the run from its end."""
 
@@ -77,6 +79,7 @@ class Interrupts:
         self.number: int | None = None
         self._held = False
         self._stop: Callable[[], object] | None = None
+        self._hung: Callable[[], Exception | None] = lambda: None
         self._stopping = False
         self._stopped_s = -_STOP_AGAIN_S
         self._raised_s: float | None = None
@@ -87,14 +90,47 @@ class Interrupts:
             raise Interrupted(self.number, ": actuators are stopped, data is kept")
 
     @contextmanager
-    def held(self, stop: Callable[[], object] | None = None) -> Iterator[None]:
-        """Note signals instead of raising them; `stop` is called at once when one comes."""
+    def held(
+        self,
+        stop: Callable[[], object] | None = None,
+        hung: Callable[[], Exception | None] | None = None,
+    ) -> Iterator[None]:
+        """Note signals instead of raising them.
+
+        Parameters
+        ----------
+        stop
+            Called at once when one comes.
+        hung
+            Returns what to raise in the place of a call that does not return, None if no call hangs. It is asked some
+            time after a signal, and when the watchdog sends its alarm (SIGALRM).
+        """
         before = self._held, self._stop
         self._held, self._stop = True, self._stop if stop is None else stop
         try:
-            yield
+            with nullcontext() if hung is None else self._alarmed(hung):
+                yield
         finally:
             self._held, self._stop = before
+
+    @contextmanager
+    def _alarmed(self, hung: Callable[[], Exception | None]) -> Iterator[None]:
+        if installed() is not self:
+            yield
+            return
+        self._hung, before = hung, signal.signal(signal.SIGALRM, self._alarm)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, before)
+            self._hung = lambda: None
+
+    def _alarm(self, _number: int, _frame: FrameType | None) -> None:
+        error = self._hung()
+        if error is not None:
+            self._stop_actuators()
+            raise error
 
     @contextmanager
     def raising(self) -> Iterator[None]:
@@ -105,6 +141,13 @@ class Interrupts:
             if self.number is not None and self._raised_s is None:
                 self._raise(self.number)
             yield
+        except Interrupted:
+            raise
+        except Exception as error:  # as the making of a class does, code may wrap whatever it meets
+            wrapped = _signal_within(error)
+            if wrapped is None:
+                raise
+            raise wrapped from None
         finally:
             self._held, self._stop = before
 
@@ -119,6 +162,8 @@ class Interrupts:
             self.number = number
         if self._held:
             self._stop_actuators()
+            if signal.getsignal(signal.SIGALRM) == self._alarm:
+                signal.setitimer(signal.ITIMER_REAL, _PATIENCE_S, _PATIENCE_S)
         elif self._raised_s is None or time.monotonic() - self._raised_s > _LOST_S:
             self._raise(self.number)
 
@@ -162,6 +207,13 @@ def handled() -> Iterator[Interrupts]:
         for number, handler in before.items():
             if signal.getsignal(number) == interrupts.handle:
                 signal.signal(number, handler)
+
+
+def _signal_within(error: BaseException | None) -> StopSignal | None:
+    """Return the signal that an exception was raised from; None if there was none."""
+    while error is not None and not isinstance(error, StopSignal):
+        error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
+    return error
 
 
 def installed() -> Interrupts | None:

@@ -69,6 +69,15 @@ def test_a_signal_that_compiled_code_dropped_is_raised_again():
     assert again.value.number == signal.SIGTERM
 
 
+def test_a_signal_that_other_code_wrapped_in_an_error_of_its_own_is_still_the_signal():
+    class Field:
+        def __set_name__(self, owner, name):
+            send(signal.SIGINT)
+
+    with handled() as interrupts, pytest.raises(StopSignal), interrupts.raising():
+        type("Table", (), {"field": Field()})
+
+
 def test_handlers_are_put_back_and_inner_blocks_go_on_with_the_outer_one():
     before = [signal.getsignal(number) for number in SIGNALS]
     with handled() as outer:

@@ -28,9 +28,10 @@ def main() -> None:
     """Run the command line. A signal while it is still being read ends it as later: in a line, with its exit code."""
     sys.unraisablehook = _signal_again
     guard_streams()
-    with handled():
+    with handled() as interrupts:
         try:
-            from labrun.cli.app import main as commands
+            with interrupts.raising():
+                from labrun.cli.app import main as commands
 
             try:
                 commands()

@@ -12,7 +12,7 @@ from typing import Any
 import typer
 
 from labrun.errors import LabrunError
-from labrun.interrupts import Interrupted, number_of
+from labrun.interrupts import Interrupted, handled, number_of
 from labrun.json_numbers import finite
 
 
@@ -29,7 +29,8 @@ def reported(as_json: bool, interrupted: str = "") -> Iterator[None]:
     """
     try:
         try:
-            yield
+            with handled() as interrupts, interrupts.raising():
+                yield
         except KeyboardInterrupt as interrupt:
             raise Interrupted(number_of(interrupt), interrupted) from None
     except LabrunError as error:

@@ -57,6 +57,8 @@ class SilentProgress(Progress):
 _COME_BACK_S = 10.0
 """How long a device that failed may stay away before the run ends: a plug put back takes some seconds to be found."""
 _TRY_AGAIN_S = 0.5
+_HUNG_S = 1.0
+"""A call of a device that lasts longer hangs, once somebody asks: the watchdog, or a signal to stop."""
 _MOST_FAILURES = 10
 """So many failed trials in a row end a run that skips or repeats each: a night is not worn out in minutes."""
 _MOST_RAISED = 5
@@ -229,7 +231,7 @@ class Session:
 
         A signal therefore never cuts a file that is being written.
         """
-        with handled() as self._interrupts, self._interrupts.held(self._rig.safe_stop):
+        with handled() as self._interrupts, self._interrupts.held(self._rig.safe_stop, self._hung_call):
             try:
                 yield
             except Interrupted as error:
@@ -237,6 +239,13 @@ class Session:
                     reasons = "; ".join(self._rig.unstopped)
                     raise Interrupted(error.number, f": {reasons}; data is kept") from error
                 raise
+
+    def _hung_call(self) -> DeviceError | None:
+        """Return what to raise in the place of a call of a device that does not return; None if none hangs."""
+        error = self._rig.calls.hung(_HUNG_S)
+        if error is not None:
+            self._rig.beat()
+        return error
 
     def _tell_worn(self, conditions: Sequence[Condition]) -> None:
         """Say which specimens earlier runs left damaged; refuse a plan of nothing else."""

@@ -14,7 +14,6 @@ from labrun.runner.following import require_followed
 from labrun.runner.measurement import ObjectiveError, ObjectiveEvaluation
 from labrun.runner.motion import MotionMaker, TrialMotion
 from labrun.runner.recording import Recorder, SampleCollector, TrialRecording, TrialRequest
-from labrun.runner.safety import blaming
 from labrun.runner.settle import Settled, measure_baseline, settle
 from labrun.runner.stillness import Bounds
 from labrun.runner.tare import tare
@@ -210,7 +209,7 @@ class TrialRunner:
             if request.mounting is not None and hasattr(self._rig.scene, "mount"):
                 self._rig.scene.mount(request.mounting)
         for name, device in self._rig.arranging.items():
-            with blaming(name):
+            with self._rig.calls(name, "arrange"):
                 device.arrange(request.condition)
         self._bench.wait_for_arrangements()
         self._bench.start_sensors()

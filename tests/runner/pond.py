@@ -4,6 +4,8 @@ Real devices of labrun's protocols, with bad days on request; the runner's tests
 would be run.
 """
 
+import collections
+import itertools
 import os
 import time
 from pathlib import Path
@@ -18,6 +20,14 @@ def witness(path, text):
     if path is not None:
         with Path(path).open("a") as file:
             file.write(text + "\n")
+
+
+def hang(holding):
+    """Do not return for a minute; for ever and `holding` the lock of the interpreter, as a faulty driver in C may."""
+    if holding:
+        collections.deque(itertools.repeat(0), maxlen=0)
+    else:
+        time.sleep(60)
 
 
 class Pond:
@@ -93,6 +103,7 @@ class Servo:
         port: str = ""
         stop_log: str | None = None
         hang_after_s: float | None = None
+        hang_holding: bool = False
         temperature_c: float = 25.0
         runaway_after_s: float | None = None
         stop_fails: bool = False
@@ -148,7 +159,7 @@ class Servo:
     def pose(self):
         after = self.settings.hang_after_s
         if after is not None and self.clock.now() - self.opened_s > after:
-            time.sleep(60)
+            hang(self.settings.hang_holding)
         fails = self.settings.pose_fails_after_s
         if fails is not None and self.clock.now() - self.opened_s > fails:
             raise OSError("the cable is gone")
@@ -223,6 +234,10 @@ class Cell:
         silent_trials: tuple[int, ...] = ()
         silent_times: int = 99
         open_fails: bool = False
+        hang_after_s: float | None = None
+        hang_holding: bool = False
+        read_answers: str = ""
+        health_answers: str = ""
 
     def __init__(self, name, settings, context):
         self.name = name
@@ -246,7 +261,7 @@ class Cell:
         return Identity("pond cell")
 
     def health(self):
-        return Health()
+        return {"": Health(), "none": None, "list": []}[self.settings.health_answers]
 
     def safe_stop(self):
         pass
@@ -269,6 +284,8 @@ class Cell:
     def read(self):
         now = self.clock.now()
         age = now - self.opened_s
+        if self.settings.hang_after_s is not None and age > self.settings.hang_after_s:
+            hang(self.settings.hang_holding)
         if self.silent or (self.settings.silent_after_s is not None and age > self.settings.silent_after_s):
             return Samples.empty(1)
         count = int((now - self.next_s) * self.rate_hz + 1e-6)
@@ -284,7 +301,11 @@ class Cell:
             values = np.hstack([values, values])
         saturated = 3 if self.trial in self.settings.saturated_trials else 0
         lost = count if self.trial in self.settings.lossy_trials else 0
-        return Samples(times - 5.0, times + 0.002, values, lost=lost, saturated=saturated)
+        block = Samples(times - 5.0, times + 0.002, values, lost=lost, saturated=saturated)
+        if self.settings.read_answers == "again" and count:
+            self.next_s -= 2 / self.rate_hz
+        twice = Samples(*(np.repeat(part, 2, axis=0) for part in (times - 5.0, times + 0.002, values)))
+        return {"none": None, "list": [block], "doubled": twice}.get(self.settings.read_answers, block)
 
 
 class Sledge:
