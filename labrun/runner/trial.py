@@ -17,11 +17,14 @@ from labrun.runner.recording import Recorder, SampleCollector, TrialRecording, T
 from labrun.runner.settle import Settled, measure_baseline, settle
 from labrun.runner.stillness import Bounds
 from labrun.runner.tare import tare
-from labrun.spec import Experiment, Settle, condition_text
-from labrun.store import RunFolder, TrialOutcome, TrialWriter, json_ready
+from labrun.spec import Experiment, Settle, condition_text, scene_of
+from labrun.store import RunFolder, TrialOutcome, TrialWriter, in_bytes, json_ready
 
 BASELINE_INDEX = 2**31 - 1
 """Stands for the baseline where device noise is derived from a trial's index."""
+
+MOST_CHECKPOINT_BYTES = 1_000_000
+"""A simulated bench remembers some seconds; one that remembers more has a list that grows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,7 +322,11 @@ class TrialRunner:
         self._phase("store")
         if draft.recorded:
             draft.know(damage=self._damage.done_by(draft.outcome))
-        draft.know(checkpoint=self.checkpoint())
+        try:
+            draft.know(checkpoint=self.checkpoint())
+        except ExperimentError as error:
+            self._keep_unfinished(draft, writer, error)
+            raise
         outcome = self._finish(draft, writer)
         if draft.recording is not None:
             draft.recording.stored()
@@ -358,11 +365,33 @@ class TrialRunner:
         self._journal("baseline", spread=self.baseline.spread, drift=self.baseline.drift)
 
     def checkpoint(self) -> str:
-        """Return what a resumed run needs to go on from here, as JSON."""
+        """Return what a resumed run needs to go on from here, as JSON.
+
+        Raises
+        ------
+        ExperimentError
+            It is larger than a bench's memory can be: the scene, or a device, keeps all of its past.
+        """
         memory = self._bench.snapshot()
         if self.baseline is not None:
             memory["baseline"] = {"spread": list(self.baseline.spread), "drift": list(self.baseline.drift)}
-        return json.dumps(memory, default=json_ready)
+        text = json.dumps(memory, default=json_ready)
+        if len(text) > MOST_CHECKPOINT_BYTES:
+            raise self._too_much_memory(memory)
+        return text
+
+    def _too_much_memory(self, memory: Mapping[str, Any]) -> ExperimentError:
+        scene = scene_of(self._experiment.rig).plugin
+        parts = {f"device {name}": part for name, part in memory.get("devices", {}).items()}
+        parts[f"the scene {scene}"] = memory.get("scene")
+        sizes = {name: len(json.dumps(part, default=json_ready)) for name, part in parts.items()}
+        name = max(sizes, key=lambda part: sizes[part])
+        return ExperimentError(
+            f"{name} returned a snapshot of {in_bytes(sizes[name])}; at most "
+            f"{in_bytes(MOST_CHECKPOINT_BYTES)} are kept with a trial",
+            hint="a list in it grows with every trial: let drive() drop what is over, as on the page "
+            '"A scene of your own"',
+        )
 
     def restore(self, checkpoint: str) -> None:
         """Go on from a checkpoint, see `Bench.restore`."""
