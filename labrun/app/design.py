@@ -158,6 +158,7 @@ def design_plan(loaded: LoadedExperiment) -> Plan:
         time_at_most_s=0.0,
         settle_s=0.0,
         disk_bytes=0,
+        disk_kept_bytes=0,
         peaks=(),
         rates_hz={},
         space=SearchSpace(_PROBES, share, (), ()),
