@@ -138,7 +138,7 @@ def diagnose(
 
     Example:  labrun gap diagnose recordings/ring-down --model pendulum.toml --save-model corrected.toml
     """
-    with reported(as_json, "interrupted; no diagnosis was written"):
+    with reported(as_json, "; no diagnosis was written"):
         from labrun.app.diagnose import StoredDiagnosis
         from labrun.app.diagnose import diagnose as diagnose_target
         from labrun.app.diagnose_robot import StoredRobotDiagnosis, diagnose_joints, joint_by_joint
@@ -321,7 +321,7 @@ def plan(
 
     Example:  labrun gap plan hinge-pendulum --rig hinge --noise angle=0.002
     """
-    with reported(as_json, "interrupted; no experiment was written"):
+    with reported(as_json, "; no experiment was written"):
         from labrun.app.next import plan_trials
         from labrun.report import trial_plan_text
 
@@ -360,7 +360,7 @@ def export(
 
     Example:  labrun gap export recordings/arm --to mjcf --output corrected.xml
     """
-    with reported(as_json, "interrupted; nothing was written"):
+    with reported(as_json, "; nothing was written"):
         from labrun.app.simulators import export_robot
 
         with status() as note:
@@ -383,7 +383,7 @@ def next_(
 
     Example:  labrun gap next hinge
     """
-    with reported(as_json, "interrupted; no experiment was written"):
+    with reported(as_json, "; no experiment was written"):
         from labrun.app.next import propose_next
 
         with status() as note:

@@ -15,6 +15,7 @@ from labrun.devices import Channel, FloatArray, Samples, Trajectory
 from labrun.errors import SpecError
 from labrun.gaits import Steering, make_gait, steering_of
 from labrun.runner import LEAD_S, TAIL_S, Handle, Rig, SimulatedClock, TrialRecording
+from labrun.signals import TIMES
 from labrun.spec import LOOP_DEVICE, TIMING_CHANNELS, Experiment, LoopTable, Track, condition_text
 
 _SAME_S = 1e-6
@@ -264,6 +265,12 @@ class ClosedLoopRecorder:
         self.channels: tuple[Channel, ...] = channels_of(experiment, self._track.loops, self._feedbacks)
         """What the loops record, under the device name "loop"."""
         self._gait = make_gait(experiment.gait)
+
+    @property
+    def columns_hz(self) -> float:
+        """Values that the loops record a second: their channels with times, and the command with its time."""
+        columns = len(self.channels) + len(TIMES) + len(self._experiment.gait.joints) + 1
+        return columns * self._track.rate_hz
 
     def require_makeable(self, conditions: Sequence[Condition]) -> None:
         """Raise SpecError unless every condition gives a reference and a controller to each loop."""

@@ -61,7 +61,10 @@ class Scene(Protocol):
         ...
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the whole memory of the bench as JSON-ready values, so that a resumed run goes on identically."""
+        """Return the whole memory of the bench as JSON-ready values, so that a resumed run goes on identically.
+
+        Kept with every trial: what is over for more than a few seconds has no place in it.
+        """
         ...
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:

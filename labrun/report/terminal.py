@@ -331,7 +331,8 @@ def plan_text(plan: Plan, results: Path) -> str:
         lines += [
             f"time        {_between(duration_text(plan.time_s), duration_text(plan.time_at_most_s))} on the bench, "
             f"{_settling(plan)}",
-            f"disk        {bytes_text(plan.disk_bytes)} of {bytes_text(free)} free",
+            f"disk        {bytes_text(plan.disk_bytes)} of {bytes_text(free)} free, "
+            f"{bytes_text(plan.disk_kept_bytes)} once it is packed",
             f"sensors     {rates or 'none'}",
         ]
     lines += [f"joint       {_joint(peak)}" for peak in plan.peaks]

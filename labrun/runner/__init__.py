@@ -1,6 +1,7 @@
 """From a plan to trials: devices and clock, settle, tare, record, repeat; and everything that stops what moves."""
 
 from labrun.devices.clock import RealClock, SimulatedClock
+from labrun.interrupts import Interrupted
 from labrun.runner.asking import Person, Scripted, Willing
 from labrun.runner.bench import Bench, Handle
 from labrun.runner.damage import worn_before, worn_specimens
@@ -19,7 +20,7 @@ from labrun.runner.recording import (
 )
 from labrun.runner.resolve import EmulatedBench, has_emulator, ports_of, resolve_device
 from labrun.runner.rig import Rig
-from labrun.runner.safety import Interrupted, LimitReached
+from labrun.runner.safety import LimitReached
 from labrun.runner.session import Progress, Session, SilentProgress
 from labrun.runner.settle import unsettled
 from labrun.runner.tare import untared_objectives

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import tomli_w
-
 from labrun import registry
 from labrun.errors import RequestError, SpecError
 from labrun.spec.checks import cross_check
@@ -31,6 +29,7 @@ from labrun.toml import (
     suggest,
     text_of,
     validate,
+    written_in_order,
 )
 
 _BARE_WORD = re.compile(r"[^\"'\[\]{}=]+")
@@ -244,9 +243,8 @@ def _load(
 
 
 def resolved(experiment: Experiment) -> str:
-    """Return an experiment as TOML, defaults written out."""
-    tree = experiment.model_dump(mode="python", by_alias=True, exclude_none=True)
-    return tomli_w.dumps(tree)
+    """Return an experiment as TOML, defaults written out, all keys in their order: that of axes decides the trials'."""
+    return written_in_order(experiment.model_dump(mode="python", by_alias=True, exclude_none=True))
 
 
 def _expand_short_forms(data: dict[str, Any], overrides: Sequence[str]) -> None:

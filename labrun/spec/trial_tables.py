@@ -92,6 +92,18 @@ class Tare(Table):
     devices: list[str] | None = None
 
 
+class Follow(Table):
+    """How closely a measured joint follows its command.
+
+    A joint that its own actuator measures fails the trial when it is more than `within_deg` from its command for more
+    than `for_s`, added up over any four times `for_s`. The command of any moment of the last `lag_s` counts.
+    """
+
+    within_deg: PositiveFloat = 20.0
+    for_s: PositiveFloat = 0.5
+    lag_s: Annotated[float, Field(ge=0)] = 0.1
+
+
 class Outliers(Table):
     """The outlier rule, declared beforehand. A rejected trial is kept, with its reason."""
 
@@ -150,6 +162,7 @@ class TrialTable(Table):
     repeats: RepeatRule = RepeatRule(min=1, max=1)
     settle: Settle | None = None
     tare: Tare | None = None
+    follow: Follow = Follow()
     outliers: Outliers = Outliers()
     reference: ReferenceTable | None = None
     carriage: CarriageMove | None = None
