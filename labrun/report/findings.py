@@ -355,9 +355,22 @@ class Findings(RunView):
                     "done": sum(trial.status == "done" for trial in trials),
                     "shortest_s": min(trial.duration_s for trial in trials),
                     "longest_s": max(trial.duration_s for trial in trials),
+                    **_numbers_of_a_table(run, trials),
                 }
                 for trials in by_condition(run.outcomes).values()
             ],
             "faults": run.faults,
             "source": imported_source(run.experiment_toml),
         }
+
+
+def _numbers_of_a_table(run: RunView, trials: Sequence[TrialOutcome]) -> dict[str, dict[str, float]]:
+    """Return the mean of every channel over trials that are single numbers; nothing for signals."""
+    if any(trial.duration_s > 0.0 for trial in trials):
+        return {}
+    values: dict[str, list[float]] = {}
+    for trial in trials:
+        for stream in run.signals(trial.index).values():
+            for name in stream.columns:
+                values.setdefault(name, []).extend(stream.column(name))
+    return {"means": {name: float(np.mean(column)) for name, column in values.items()}}

@@ -122,24 +122,41 @@ def _print_recording(found: Mapping[str, Any], console: Console) -> None:
         console.print(Text(f"damaged: {fault}", style="yellow"))
     source = found["source"]
     if source:
-        told = ", ".join(f"{key} {value}" for key, value in source.items() if key != "kind")
-        console.print(Text(f"source: {source.get('kind', '')}, {told}"))
+        told = [f"{key} {value}" for key, value in source.items() if key != "kind"]
+        console.print(Text(f"source: {', '.join([source.get('kind', ''), *told])}"))
     channels = _table("channels", "channel", "kind", "unit", "rate")
     for channel in found["channels"]:
         channels.add_row(channel["name"], channel["kind"], channel["unit"], f"{channel['rate_hz']:.4g} Hz")
     console.print(channels)
+    if all("means" in item for item in found["conditions"]):
+        console.print(_table_of_numbers(found))
+    else:
+        console.print(_trials_by_condition(found))
+    paths = {"run": found["run"], "imported from": found["imported_from"]}
+    if found["run"] == found["imported_from"]:
+        paths = {"recording": found["run"]}
+    for name, path in paths.items():
+        console.print(Text(f"{name:<13} {path}"), soft_wrap=True)
+
+
+def _table_of_numbers(found: Mapping[str, Any]) -> Table:
+    """Return a recording without a course in time as the table that it is."""
+    columns = [with_unit(channel["name"], channel["unit"]) for channel in found["channels"]]
+    table = _table("means by condition", "condition", "trials", *columns)
+    for item in found["conditions"]:
+        numbers = [f"{item['means'][channel['name']]:.4g}" for channel in found["channels"]]
+        table.add_row(condition_text(item["condition"]) or "(none given)", str(item["trials"]), *numbers)
+    return table
+
+
+def _trials_by_condition(found: Mapping[str, Any]) -> Table:
     conditions = _table("trials by condition", "condition", "trials", "done", "duration")
     for item in found["conditions"]:
         shortest, longest = f"{item['shortest_s']:.4g}", f"{item['longest_s']:.4g}"
         lasted = f"{longest} s" if shortest == longest else f"{shortest} to {longest} s"
         name = condition_text(item["condition"]) or "(none given)"
         conditions.add_row(name, str(item["trials"]), str(item["done"]), lasted)
-    console.print(conditions)
-    paths = {"run": found["run"], "imported from": found["imported_from"]}
-    if found["run"] == found["imported_from"]:
-        paths = {"recording": found["run"]}
-    for name, path in paths.items():
-        console.print(Text(f"{name:<13} {path}"), soft_wrap=True)
+    return conditions
 
 
 def _best(best: Best) -> Text:

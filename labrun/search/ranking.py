@@ -202,7 +202,7 @@ def pooled_intervals(
     unlike = False
     # of two trials it sees nothing
     if len(several) > 1 and squares > 0.0 and min(map(len, several)) >= _LEAST:
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):  # trials that are all alike
             unlike = bool(stats.levene(*several, center="median").pvalue < 1.0 - _SHARE)
     if unlike or not several:
         return [t_interval(values, (), cut) for values, cut in zip(samples, truncations, strict=True)]
