@@ -44,6 +44,7 @@ from labrun.search import (
     Searched,
     Verdict,
     at_settings,
+    combined_text,
     conditions,
     excess_at_settings,
     honest_best,
@@ -151,7 +152,7 @@ def measure_all(
             return None
         progress.phase("fresh repeats of the leaders")
         guests = [{**guest, **level} for guest in experiment.leaders.guests]
-        return honest_best(
+        best = honest_best(
             measures,
             found,
             objective=goal[0],
@@ -160,6 +161,7 @@ def measure_all(
             leaders=experiment.leaders,
             guests=guests,
         )
+        return None if best is None else replace(best, combined=combined_text(experiment))
 
     def expect(trials: int | None) -> None:
         """Say how many trials there will be, here and to whoever watches the run from elsewhere."""

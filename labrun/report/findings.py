@@ -20,7 +20,7 @@ from labrun.report.timing import BenchTime, LoopHealth, StreamHealth, bench_time
 from labrun.runner import unsettled
 from labrun.search import RunResult
 from labrun.spec import PAST, condition_text
-from labrun.store import TrialOutcome, imported_channels, imported_source, remarks_of
+from labrun.store import Run, TrialOutcome, imported_channels, imported_source, remarks_of
 
 _STREAMS_LOOKED_AT = 40
 _MOST_CONDITIONS = 100
@@ -364,7 +364,7 @@ class Findings(RunView):
         }
 
 
-def _numbers_of_a_table(run: RunView, trials: Sequence[TrialOutcome]) -> dict[str, dict[str, float]]:
+def _numbers_of_a_table(run: Run, trials: Sequence[TrialOutcome]) -> dict[str, dict[str, float]]:
     """Return the mean of every channel over trials that are single numbers; nothing for signals."""
     if any(trial.duration_s > 0.0 for trial in trials):
         return {}

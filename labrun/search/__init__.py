@@ -17,6 +17,8 @@ from labrun.search.leaders import (
 from labrun.search.planned import (
     OverSettings,
     at_settings,
+    combined_text,
+    combined_values,
     conditions,
     excess_at_settings,
     levels_of,
@@ -40,7 +42,8 @@ __all__ = [
     "NUMBER", "RESULT_FILE", "Agreement", "Best", "BestSoFar", "BestYet", "Cell", "Constraint",
     "ConstraintError", "Feasibility", "FieldColumn", "Measured", "Measures", "NoCandidateError", "OverSettings",
     "Ranking", "RunResult", "Searched", "Verdict", "Violations", "agreement", "allowed_points",
-    "apart_text", "at_points", "at_settings", "conditions", "excess_at_settings", "honest_best",
+    "apart_text", "at_points", "at_settings", "combined_text", "combined_values", "conditions",
+    "excess_at_settings", "honest_best",
     "leading_conditions", "levels_of", "mean_error", "most_trials", "pooled_intervals", "probes",
     "read_generations", "reason_lines", "resume_line", "scatter", "search_by_cmaes", "settings_of",
     "stored_result", "survey_space",

@@ -35,6 +35,8 @@ class Best:
         Number of confirming trials behind `value`.
     truncation
         The part of the interval, to either side, that cycles cut by the window make; see `labrun.spec.Averaging`.
+    combined
+        What of several settings `value` is, as ``sum over v = 0.1, 0.3 m/s``; empty where there is one setting.
     """
 
     parameters: Mapping[str, Value]
@@ -45,6 +47,7 @@ class Best:
     luckiest: float
     trials: int = 0
     truncation: float = 0.0
+    combined: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Return parameters, objective with interval and unit, and the luckiest observation."""
@@ -54,6 +57,7 @@ class Best:
             "objective": {"value": self.value, "ci95": interval, "unit": self.unit},
             "luckiest": self.luckiest,
             **({"truncation": self.truncation} if self.truncation else {}),
+            **({"combined": self.combined} if self.combined else {}),
         }
 
     def to_record(self) -> dict[str, Any]:
@@ -74,6 +78,7 @@ class Best:
             luckiest=record["luckiest"],
             trials=record["trials"],
             truncation=record.get("truncation", 0.0),
+            combined=record.get("combined", ""),
         )
 
 
@@ -280,8 +285,9 @@ def _best_lines(best: Best) -> list[str]:
     cut = [
         f"          of that, {best.truncation:.2g} {best.unit} to either side for cycles that the window cuts"
     ]
+    of = f", {best.combined}" if best.combined else ""
     return [
-        f"best      {best.objective_name} = {best.value:.4g} {best.unit} ({interval})",
+        f"best      {best.objective_name} = {best.value:.4g} {best.unit}{of} ({interval})",
         *(cut if best.truncation and best.ci95 is not None else []),
         f"at        {condition_text(best.parameters, digits=4)}",
         f"luckiest  {best.luckiest:.4g} {best.unit} (best single trial; not what to expect)",

@@ -1,4 +1,4 @@
-"""The fish with one tail fin afloat: does it swim, or does its tail turn the body (source, section 5.2)?"""
+"""The fish with one tail fin afloat, which a stiff tail turns instead of moving it (source, section 5.2)."""
 
 import math
 from collections.abc import Mapping
