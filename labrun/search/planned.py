@@ -283,7 +283,7 @@ def combined_values(each: Sequence[FloatArray], combine: Combine, *, worst_is_le
 
 def combined_text(experiment: Experiment) -> str:
     """Return over which settings the objective is combined: ``sum over v = 0.1, 0.3, 0.6 m/s``; empty without any."""
-    if not experiment.over or experiment.goal is None:
+    if experiment.goal is None or not experiment.over:
         return ""
     settings = []
     for name, values in experiment.over.items():
