@@ -18,7 +18,7 @@ from pydantic import (
 
 from labrun.spec.condition import Bounds, Number, Value
 from labrun.spec.raw import asks_for_leaders, check_name, table, tables
-from labrun.toml import Expression, Fault, KeyPath, Table, TableFaults
+from labrun.toml import Expression, ExpressionError, Fault, KeyPath, Table, TableFaults
 
 
 class Range(Table):
@@ -326,9 +326,12 @@ class WrittenExperiment(Table):
     @field_validator("texts")
     @classmethod
     def _has_expressions(cls, texts: dict[str, str]) -> dict[str, str]:
-        for text in texts.values():
-            for expression in BRACES.findall(text):
-                Expression.of(expression)
+        try:
+            for text in texts.values():
+                for expression in BRACES.findall(text):
+                    Expression.of(expression)
+        except ExpressionError as error:
+            raise ValueError(str(error)) from error
         return texts
 
 
