@@ -42,6 +42,7 @@ from labrun.search import (
     Searched,
     Verdict,
     at_settings,
+    combined_text,
     conditions,
     excess_at_settings,
     honest_best,
@@ -164,7 +165,8 @@ def measure_all(
         )
         if best is None:
             return None
-        return replace(best, range_ends=range_end_notes(experiment, best.parameters, excess_of))
+        ends = range_end_notes(experiment, best.parameters, excess_of)
+        return replace(best, range_ends=ends, combined=combined_text(experiment))
 
     def expect(trials: int | None) -> None:
         """Say how many trials there will be, here and to whoever watches the run from elsewhere."""

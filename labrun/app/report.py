@@ -18,11 +18,12 @@ from labrun.report import (
     RunView,
     StoredFit,
     StoredGap,
+    candidate_points,
     drift_of,
     experiment_of,
     without_drift,
 )
-from labrun.search import Best, read_generations, stored_result
+from labrun.search import Best, combined_text, read_generations, stored_result
 from labrun.store import SPEC, Run, export_run, find_run, is_recording, open_target, replace_durably
 
 REPORT = "report.html"
@@ -152,11 +153,14 @@ def confirmed_best(view: RunView) -> Best | None:
     goal = view.experiment.goal
     if goal is None:
         return None
-    confirmed = view.points(goal[0], roles=("confirm",))
+    if view.experiment.over:
+        confirmed, every = candidate_points(view, roles=("confirm",)), candidate_points(view)
+    else:
+        confirmed, every = view.points(goal[0], roles=("confirm",)), view.points(goal[0])
     if not confirmed:
         return None
     winner = confirmed[0]
-    everything = np.concatenate([point.values for point in view.points(goal[0])])
+    everything = np.concatenate([point.values for point in every])
     return Best(
         parameters=winner.condition,
         objective_name=goal[0],
@@ -165,6 +169,7 @@ def confirmed_best(view: RunView) -> Best | None:
         unit=view.unit_of(goal[0]),
         luckiest=float(everything.max() if goal[1] == "maximise" else everything.min()),
         trials=len(winner.values),
+        combined=combined_text(view.experiment),
     )
 
 

@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from labrun import UseCasePackage
+from labrun.report.conditions import candidate_points
 from labrun.report.data import RunView, experiment_of
 from labrun.report.findings import Findings, StoredFit, StoredGap
 from labrun.report.live import LiveProgress, PlainProgress, Snapshot, State, event_text, render, watch
@@ -51,12 +52,12 @@ _LATER = {
 __all__ = [
     "DRIFT_SUFFIX",
     "Drift", "Findings", "LiveProgress", "PlainProgress", "RunView", "Snapshot", "State", "StoredFit", "StoredGap",
-    "aligned", "as_svg", "check_text", "compared_text", "comparison_figure", "comparison_json", "comparison_text",
-    "counted", "diagnosis_figure", "diagnosis_page", "draw_design", "draw_figure", "drift_of", "duration_text",
-    "event_text", "experiment_of", "fit_figure", "fresh_text", "gap_lines", "interval_text", "keys_text", "plan_text",
-    "print_findings", "ranking_text", "remark_text", "render", "report_page", "robot_figure", "robot_lines",
-    "robot_page", "run_figure", "save_figure", "short_time_text", "trial_plan_text", "units_text", "watch",
-    "without_drift", "write_check_page",
+    "aligned", "as_svg", "candidate_points", "check_text", "compared_text", "comparison_figure", "comparison_json",
+    "comparison_text", "counted", "diagnosis_figure", "diagnosis_page", "draw_design", "draw_figure", "drift_of",
+    "duration_text", "event_text", "experiment_of", "fit_figure", "fresh_text", "gap_lines", "interval_text",
+    "keys_text", "plan_text", "print_findings", "ranking_text", "remark_text", "render", "report_page",
+    "robot_figure", "robot_lines", "robot_page", "run_figure", "save_figure", "short_time_text", "trial_plan_text",
+    "units_text", "watch", "without_drift", "write_check_page",
 ]  # fmt: skip
 
 

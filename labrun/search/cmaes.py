@@ -160,7 +160,7 @@ class _Search:
                 + "; ".join(worst.violations.texts),
                 hint="widen the limits or `where`, or give the variables an initial point that holds",
             )
-        verdict = judge(
+        return judge(
             reason,
             self._spreads,
             budget_spent=self._watch.over,
@@ -171,8 +171,6 @@ class _Search:
             generations=self._watch.generation,
             level=self.level or None,
         )
-        self.progress.note(f"search {verdict.text}")
-        return verdict
 
     def _descend(self, restart: int) -> str:
         """Run one strategy until it, or the whole search, is to stop; return why."""

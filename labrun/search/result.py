@@ -37,6 +37,8 @@ class Best:
         The part of the interval, to either side, that cycles cut by the window make; see `labrun.spec.Averaging`.
     range_ends
         Sentences on the ranges at whose end the winner stands, see `labrun.search.range_ends`.
+    combined
+        What of several settings `value` is, as ``sum over v = 0.1, 0.3 m/s``; empty where there is one setting.
     """
 
     parameters: Mapping[str, Value]
@@ -48,6 +50,7 @@ class Best:
     trials: int = 0
     truncation: float = 0.0
     range_ends: tuple[str, ...] = ()
+    combined: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Return parameters, objective with interval and unit, and the luckiest observation."""
@@ -58,6 +61,7 @@ class Best:
             "luckiest": self.luckiest,
             **({"truncation": self.truncation} if self.truncation else {}),
             **({"range_ends": list(self.range_ends)} if self.range_ends else {}),
+            **({"combined": self.combined} if self.combined else {}),
         }
 
     def to_record(self) -> dict[str, Any]:
@@ -79,6 +83,7 @@ class Best:
             trials=record["trials"],
             truncation=record.get("truncation", 0.0),
             range_ends=tuple(record.get("range_ends", ())),
+            combined=record.get("combined", ""),
         )
 
 
@@ -283,11 +288,12 @@ def _best_lines(best: Best) -> list[str]:
         interval = "no interval: fewer than two confirming trials were accepted"
     else:
         interval = f"95 % interval {best.ci95[0]:.4g} to {best.ci95[1]:.4g}, {best.trials} confirming trials"
-    value, luckiest = (value_text(one, best.unit, digits=4) for one in (best.value, best.luckiest))
+    value, luckiest = (value_text(number, best.unit, digits=4) for number in (best.value, best.luckiest))
     truncation = value_text(best.truncation, best.unit, digits=2)
     cut = [f"          of that, {truncation} to either side for cycles that the window cuts"]
+    combined = f", {best.combined}" if best.combined else ""
     return [
-        f"best      {best.objective_name} = {value} ({interval})",
+        f"best      {best.objective_name} = {value}{combined} ({interval})",
         *(cut if best.truncation and best.ci95 is not None else []),
         f"at        {condition_text(best.parameters, digits=4)}",
         *(f"          {note}" for note in best.range_ends),

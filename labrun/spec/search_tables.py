@@ -5,11 +5,20 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Discriminator, Field, NonNegativeFloat, PositiveFloat, PositiveInt, Tag, model_validator
+from pydantic import (
+    Discriminator,
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
 from labrun.spec.condition import Bounds, Number, Value
 from labrun.spec.raw import asks_for_leaders, check_name, table, tables
-from labrun.toml import Expression, Fault, KeyPath, Table, TableFaults
+from labrun.toml import Expression, ExpressionError, Fault, KeyPath, Table, TableFaults
 
 
 class Range(Table):
@@ -296,17 +305,34 @@ class DrawnPart(Table):
     mirrored: bool = False
 
 
+BRACES = re.compile(r"\{([^{}]*)\}")
+"""An expression in a text of `WrittenExperiment`."""
+
+
 class WrittenExperiment(Table):
     """An experiment on the rig of the finished design: a file's text, with other values in one or more of its tables.
 
-    `values` are expressions in the variables of the design, by the key they stand at in the file. `model_at` is the key
-    that names a model there: `model`, or that of the design, with the parameters of the design takes its place.
+    `values` are expressions in the variables of the design, by the key they stand at in the file; an element of a list
+    is known by its place, from 0. `texts` are words with such expressions in braces. `model_at` is the key that names a
+    model there: `model`, or that of the design, with the parameters of the design takes its place.
     """
 
     template: str
     model_at: str | None = None
     model: str | None = None
     values: dict[str, Expression] = Field(default_factory=dict)
+    texts: dict[str, str] = Field(default_factory=dict)
+
+    @field_validator("texts")
+    @classmethod
+    def _has_expressions(cls, texts: dict[str, str]) -> dict[str, str]:
+        try:
+            for text in texts.values():
+                for expression in BRACES.findall(text):
+                    Expression.of(expression)
+        except ExpressionError as error:
+            raise ValueError(str(error)) from error
+        return texts
 
 
 class Design(CmaEs):

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
@@ -28,12 +28,22 @@ _COMPUTE: dict[str, Callable[[Sequence[float]], Any]] = {
 class Until(Table):
     """A trial that goes on until its numbers say so, judged once a cycle, for `max_cycles` at most.
 
-    Every cycle's objectives are kept, and the samples of one cycle in `keep_every`.
+    Every cycle's objectives are kept, and the samples of one cycle in `keep_every`. With `judge_every` only one cycle
+    in so many is measured, once the first `keep_every` are over; those between are moved, and count as alike.
     """
 
     when: str
     max_cycles: PositiveInt
     keep_every: PositiveInt = 100
+    judge_every: PositiveInt = 1
+
+    @model_validator(mode="after")
+    def _keeps_what_it_judges(self) -> Self:
+        with TableFaults() as faults:
+            if self.keep_every % self.judge_every:
+                said = f"{self.judge_every} does not divide keep_every = {self.keep_every}: kept is what is measured"
+                faults.add("judge_every", said, of=("judge_every", "keep_every"))
+        return self
 
 
 class RepeatRule(Table):
