@@ -159,7 +159,9 @@ class Robot:
     sensors: Mapping[str, tuple[str, ...]]
 
 
-def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | None = None) -> Robot:
+def read_robot(
+    path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | None = None, *, repair: bool = False
+) -> Robot:
     """Read an MJCF or URDF file.
 
     Meshes that are missing, and contacts, are left out; what is left out is said in the remarks.
