@@ -88,7 +88,7 @@ def import_(
         typer.Argument(
             metavar="SOURCE...",
             help="Recording folder (recording.toml beside CSV files), to become a run; or logs of a robot, to become "
-            "one recording: .mcap, .bag, .db3, .ulg, .csv, .npz, .h5, .mat, .pt, .parquet, a rosbag2 or LeRobot folder.",
+            "one: .mcap, .bag, .db3, .ulg, .csv, .npz, .h5, .mat, .pt, .parquet, a rosbag2 or LeRobot folder.",
         ),
     ],
     model: options.RobotModel = None,

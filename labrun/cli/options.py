@@ -92,8 +92,8 @@ Unit = Annotated[
     typer.Option(
         "--unit",
         metavar="[JOINT=]UNIT",
-        help="Of a log: unit of all angles or of one joint: rad, deg, ticks (ticks:16384 a turn), normalised, percent, m, "
-        "mm; CHANNEL=A:0.9 of a torque logged in amperes, N m per ampere; repeatable.",
+        help="Of a log: unit of all angles or of one joint: rad, deg, ticks (ticks:16384 a turn), normalised, percent, "
+        "m, mm; CHANNEL=A:0.9 of a torque logged in amperes, N m per ampere; repeatable.",
     ),
 ]
 Zero = Annotated[

@@ -52,7 +52,7 @@ class Wanted:
         return self.kind == "input" and self.roles[0] in ("command", "velocity-command")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Match:
     """A wanted channel and its column; None where the log has none, and a person said so.
 

@@ -12,6 +12,9 @@ from labrun.logs.matching import Match
 _JUMP = 10.0
 """A step between two samples is a jump if it is so many times what 99 % of the steps stay below."""
 
+_COARSE = 0.5
+"""A signal has steps if it takes fewer different values than this part of its samples."""
+
 
 @dataclass(frozen=True, slots=True)
 class ChannelPreview:
@@ -29,7 +32,8 @@ class ChannelPreview:
     gaps, jumps
         How often more than five periods are missing; how often the value jumps.
     resolution
-        Least difference of two values, in the model's unit; 0 for a constant.
+        Least difference of two values, in the model's unit, where values come again; 0 where hardly any does, and for
+        a constant.
     without
         Samples of its stream that hold no number, or are in no trial.
     """
@@ -61,13 +65,15 @@ class ChannelPreview:
         period = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
         changes = np.abs(np.diff(values))
         usual = float(np.quantile(changes, 0.99))
-        levels = np.unique(values)
+        levels = np.unique(np.round(values, 12))
+        steps_between = np.diff(levels) if len(levels) < _COARSE * len(values) else np.empty(0)
         return cls(
             match.wanted.channel, match.column.name, match.unit, match.why, 1.0 / period if period else 0.0,
             float(values.min()), float(values.max()), match.wanted.unit, len(values),
             int((steps > GAP_PERIODS * period).sum()) if period else 0,
             int((changes > _JUMP * usual).sum()) if usual else 0,
-            float(np.min(np.diff(levels))) if len(levels) > 1 else 0.0, max(len(match.column.values) - used, 0),
+            float(np.min(steps_between)) if len(steps_between) else 0.0,
+            max(len(match.column.values) - used, 0),
         )  # fmt: skip
 
     def to_json(self) -> dict[str, Any]:
@@ -75,13 +81,13 @@ class ChannelPreview:
         return asdict(self)
 
     def cells(self) -> list[str]:
-        """Return the row of the table; one cell more than `HEADER` never."""
+        """Return the row of the table, a cell for each of `HEADER`."""
         if self.column == "none":
             return [self.channel, "none", *[""] * (len(HEADER) - 2)]
         return [
             self.channel, self.column, self.unit, f"{self.rate_hz:.4g}",
             f"{self.lowest:.4g} to {self.highest:.4g} {self.model_unit}", str(self.gaps), str(self.jumps),
-            f"{self.resolution:.2g}", f"{self.without} of {self.samples + 0}", self.why,
+            f"{self.resolution:.2g}" if self.resolution else "fine", f"{self.without} of {self.samples}", self.why,
         ]  # fmt: skip
 
 

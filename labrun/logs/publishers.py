@@ -73,12 +73,20 @@ def _writers(column: Column, publisher: NDArray[np.int64] | None) -> NDArray[np.
     if len(values) < _LEAST_SAMPLES or not _returns(values):
         return None
     labels = np.full(len(column.values), -1)
-    if publisher is not None and len(np.unique(publisher[rows])) > 1:
-        labels[rows] = publisher[rows]
-        if _apart(values, publisher[rows]):
+    named = None if publisher is None else publisher[rows]
+    for guess in (named, _constant(values), _tracks(values)):
+        if guess is not None and len(np.unique(guess)) > 1 and _apart(values, guess):
+            labels[rows] = guess
             return labels
-    labels[rows] = _tracks(values)
-    return labels if _apart(values, labels[rows]) else None
+    return None
+
+
+def _constant(values: FloatArray) -> NDArray[np.int64] | None:
+    """Return which samples are exactly the value that comes most often, as of a writer that sends zeros."""
+    levels, counts = np.unique(values, return_counts=True)
+    if counts.max() < _RETURNS * len(values):
+        return None
+    return np.asarray(values != levels[np.argmax(counts)], dtype=np.int64)
 
 
 def _returns(values: FloatArray) -> bool:
@@ -108,7 +116,7 @@ def _apart(values: FloatArray, labels: NDArray[np.int64]) -> bool:
     changes = labels[1:] != labels[:-1]
     if changes.mean() < _RETURNS:
         return False
-    between = float(np.median(np.abs(np.diff(values))[changes]))
+    between = float(np.quantile(np.abs(np.diff(values))[changes], 0.9))  # the two may meet now and then
     within = [np.abs(np.diff(values[labels == label])) for label in np.unique(labels)]
     steps = np.concatenate(within)
     nonzero = steps[steps > 0]

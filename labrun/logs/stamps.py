@@ -153,49 +153,40 @@ def _pair(names: Sequence[str]) -> tuple[str, str] | None:
 def _seconds(
     table: str, name: str, stamps: FloatArray, stated: str, time_unit: str | None
 ) -> tuple[FloatArray, tuple[Finding, ...]]:
-    ending = name.lower().rpartition("_")[2]
     finite = stamps[np.isfinite(stamps)]
     first = float(finite[0]) if len(finite) else 0.0
     # what counts from 1970 in nanoseconds has more digits than a double: differences first
     from_first = stamps - first if abs(first) > 1e8 else stamps
-    if name == "%time":
-        stated = "ns"
-    unit = (
-        time_unit
-        or (stated if stated in SCALES else "")
-        or (ending if ending in SCALES and "_" in name else "")
-    )
-    if unit:
-        return from_first * SCALES[unit], ()
+    if time_unit:
+        return from_first * SCALES[time_unit], ()
+    ending = "ns" if name == "%time" else name.lower().rpartition("_")[2] if "_" in name else ""
+    unit = stated if stated in SCALES else ending if ending in SCALES else ""
     steps = np.diff(finite)
     steps = steps[steps > 0]
     if not len(steps):
-        return from_first, ()
+        return from_first * SCALES.get(unit, 1.0), ()
     step = float(np.median(steps))
-    likely = next(
-        (one for one in ("s", "ms", "us", "ns") if 1.0 / (step * SCALES[one]) >= _LEAST_SURE_HZ), "ns"
-    )
+    rates_hz = {one: 1.0 / (step * scale) for one, scale in SCALES.items()}
+    if unit and rates_hz[unit] >= _LEAST_HZ:
+        return from_first * SCALES[unit], ()
+    likely = next((one for one, rate_hz in rates_hz.items() if rate_hz >= _LEAST_SURE_HZ), "ns")
     if likely == "s":
         return from_first, ()
-    rate_hz = 1.0 / (step * SCALES[likely])
-    told = f"{table}: stamps {name} step by {step:.6g}"
-    if likely == "ms" and 1.0 / step >= _LEAST_HZ:
+    text = f"{table}: stamps {name} step by {step:.6g}"
+    if unit or rates_hz[likely] > _MOST_HZ or (likely == "ms" and rates_hz["s"] >= _LEAST_HZ):
+        other = unit or "s"
+        text += f": {rates_hz[other]:.3g} Hz if they are {_WORDS[other]}, {rates_hz[likely]:.4g} Hz if {_WORDS[likely]}"
         question = Question(
-            f"{told}: {1.0 / step:.3g} Hz if they are seconds, {rate_hz:.4g} Hz if milliseconds",
-            proposal="--time-unit ms", answers="--time-unit s", channel="time",
-        )  # fmt: skip
+            text,
+            f"--time-unit {likely}",
+            f"--time-unit {', '.join(one for one in SCALES if one != likely)}",
+            "time",
+        )
         return from_first * SCALES[likely], (question,)
-    if rate_hz > _MOST_HZ:
-        question = Question(
-            f"{told}, which is no rate of a robot's log in any unit", proposal=f"--time-unit {likely}",
-            answers="--time-unit s, ms, us or ns", channel="time",
-        )  # fmt: skip
-        return from_first * SCALES[likely], (question,)
-    return from_first * SCALES[likely], (
-        Statement(
-            f"{told} and count {_WORDS[likely]} by that: {rate_hz:.4g} Hz (--time-unit if they do not)"
-        ),
+    told = (
+        f"{text} and count {_WORDS[likely]} by that: {rates_hz[likely]:.4g} Hz (--time-unit if they do not)"
     )
+    return from_first * SCALES[likely], (Statement(told),)
 
 
 def _compared(name: str, time_s: FloatArray, other: str, other_s: FloatArray) -> tuple[Finding, ...]:

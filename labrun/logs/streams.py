@@ -48,7 +48,7 @@ SAME_ROWS = 0.95
 """Columns that share this part of their rows share their stamps; what lacks is a lost sample, not a rate of its own."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Column:
     """One column of a log.
 
@@ -80,7 +80,7 @@ class Column:
     by_order: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stream:
     """Columns that share their stamps.
 

@@ -101,6 +101,7 @@ class AskedUnits:
 
 _ANGLES_UNITS = ("rad", "deg", "ticks", "normalised", "percent", "m", "mm")
 _BY_RANGE = "by their range"
+_PROPOSED = "as proposed until it is answered"
 _TORQUE_UNITS = ("N m", "mN m", "A", "mA")
 
 
@@ -229,7 +230,7 @@ def _slide(joint: _Joint, findings: list[Finding]) -> tuple[str, float | None, s
             channel=joint.name,
         )
     )
-    return unit, None, _BY_RANGE
+    return unit, None, _PROPOSED
 
 
 def _grippers(joints: Sequence[_Joint], findings: list[Finding]) -> dict[str, tuple[str, float | None, str]]:
@@ -256,7 +257,7 @@ def _grippers(joints: Sequence[_Joint], findings: list[Finding]) -> dict[str, tu
                 channel=joint.name,
             )
         )
-        units[joint.name] = "percent", None, _BY_RANGE
+        units[joint.name] = "percent", None, _PROPOSED
     return units
 
 
@@ -280,7 +281,7 @@ def _by_range(joints: Sequence[_Joint], findings: list[Finding]) -> tuple[str, f
     question = next((doubt for doubt in doubts if doubt is not None), None)
     if question is not None:
         findings.append(question)
-        return (question.proposal or "--unit deg").rpartition(" ")[2], None, _BY_RANGE
+        return (question.proposal or "--unit deg").rpartition(" ")[2], None, _PROPOSED
     if largest > _MOST_SHARE:
         return "deg", None, f"{_BY_RANGE}: they reach {largest:.4g}"
     return "deg", None, (
@@ -301,7 +302,7 @@ def _ticks(largest: float, findings: list[Finding]) -> tuple[str, float, str]:
             answers="--unit rad or deg",
         )
     )
-    return "ticks", float(size), _BY_RANGE
+    return "ticks", float(size), _PROPOSED
 
 
 def _of_two_units(joints: Sequence[_Joint], sides: Mapping[str, float]) -> Question | None:
@@ -313,7 +314,7 @@ def _of_two_units(joints: Sequence[_Joint], sides: Mapping[str, float]) -> Quest
     other = "input" if small[0] == "output" else "output"
     return Question(
         f"{words[small[0]]} look like radians and {words[other]} look like degrees (they reach "
-        f"{sides[small[0]]:.3g} and {sides[other]:.4g}): a log hardly has both; little motion in degrees looks like radians",
+        f"{sides[small[0]]:.3g} and {sides[other]:.4g}): a log hardly has both; little motion in degrees looks alike",
         proposal="--unit deg",
         answers="--unit rad",
     )

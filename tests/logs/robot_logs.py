@@ -51,7 +51,9 @@ def write_h5(path, time_s, goals, angles):
     return path
 
 
-def write_lerobot(folder, goals, angles, *, scale=1.0, names=JOINTS, episodes=3, version=2):
+def write_lerobot(
+    folder, goals, angles, *, scale=1.0, names=JOINTS, episodes=3, version=2, lengths=None, robot_type=None
+):
     """Write the layout of LeRobot's datasets: meta/info.json and a file an episode; since version 3 one of several."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -64,9 +66,12 @@ def write_lerobot(folder, goals, angles, *, scale=1.0, names=JOINTS, episodes=3,
         "fps": RATE_HZ,
         "features": {"observation.state": feature, "action": feature},
     }
+    if robot_type:
+        info["robot_type"] = robot_type
     (folder / "meta" / "info.json").write_text(json.dumps(info))
     tables, chunk = [], folder / "data" / "chunk-000"
-    for episode, rows in enumerate(np.array_split(np.arange(len(goals)), episodes)):
+    parts = np.array_split(np.arange(len(goals)), episodes if lengths is None else np.cumsum(lengths)[:-1])
+    for episode, rows in enumerate(parts):
         table = pa.table({
             "observation.state": (scale * angles[rows]).tolist(),
             "action": (scale * goals[rows]).tolist(),
@@ -81,7 +86,7 @@ def write_lerobot(folder, goals, angles, *, scale=1.0, names=JOINTS, episodes=3,
     else:
         pq.write_table(pa.concat_tables(tables[:2]), chunk / "file-000.parquet")
         pq.write_table(pa.concat_tables(tables[2:]), chunk / "file-001.parquet")
-        told = pa.table({"episode_index": range(episodes), "length": [len(table) for table in tables]})
+        told = pa.table({"episode_index": range(len(tables)), "length": [len(table) for table in tables]})
         (folder / "meta" / "episodes" / "chunk-000").mkdir(parents=True)
         pq.write_table(told, folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
     return folder
