@@ -7,6 +7,7 @@ that lasts is taken back; a sample that lies a turn off alone is left out.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,7 +158,7 @@ def _sorted(jumps: Sequence[Jump]) -> tuple[list[Jump], list[tuple[int, int]]]:
 
 
 def _beside_goal(goal: Match, measured: Match, findings: list[Finding]) -> Match:
-    """Return what was measured, moved by the whole turns that lie between it and its goal in every episode."""
+    """Return what was measured, moved by the whole turns between it and its goal after every gap and in every episode."""
     column, stream = measured.column, measured.stream
     if (
         goal.stream is None
@@ -169,7 +170,7 @@ def _beside_goal(goal: Match, measured: Match, findings: list[Finding]) -> Match
         return measured
     values, name = column.values.copy(), measured.wanted.channel
     moved: list[str] = []
-    for rows, goal_rows in _shared_episodes(measured, goal):
+    for rows, goal_rows in _segments(measured, goal):
         finite = goal_rows[np.isfinite(goal.column.values[goal_rows])]
         if len(finite) < 2 or not np.isfinite(values[rows]).any():
             continue
@@ -182,29 +183,31 @@ def _beside_goal(goal: Match, measured: Match, findings: list[Finding]) -> Match
             moved.append(f"{turns:+d}")
     if not moved:
         return measured
-    episodes = "" if stream.episode is None else f" in {len(moved)} episode{'s' * (len(moved) != 1)}"
+    parts = f" in {len(moved)} part{'s' * (len(moved) != 1)} of the log"
     text = (
-        f"{name} is measured {', '.join(dict.fromkeys(moved))} whole turn{'s' * (moved != ['+1'])} from its goal"
-        f"{episodes}, as of a servo that lost its turn when it was switched on: taken back"
+        f"{name} is measured {', '.join(dict.fromkeys(moved))} whole turns from its goal"
+        f"{parts}, as of a servo that lost its turn when it was switched on: taken back"
     )
     findings.append(Statement(text, name))
     return replace(measured, column=replace(column, values=values))
 
 
-def _shared_episodes(measured: Match, goal: Match) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield the rows of what is measured and of its goals, episode by episode."""
-    assert measured.stream is not None  # noqa: S101 - the caller has checked both
-    assert goal.stream is not None  # noqa: S101
-    own, other = measured.stream.episode, goal.stream.episode
-    everything = np.arange(len(goal.stream.time_s))
-    if own is None:
-        yield np.arange(len(measured.stream.time_s)), everything
+def _segments(measured: Match, goal: Match) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Yield the rows of what is measured between gaps and episodes, and those of its goals in that episode."""
+    if measured.stream is None or goal.stream is None:
         return
-    for episode in dict.fromkeys(own.tolist()):
-        yield (
-            np.flatnonzero(own == episode),
-            everything if other is None else np.flatnonzero(other == episode),
-        )
+    time_s, own, other = measured.stream.time_s, measured.stream.episode, goal.stream.episode
+    steps = np.diff(time_s)
+    begins = steps > _GAP_PERIODS * float(np.median(steps)) if len(steps) else np.empty(0, dtype=bool)
+    if own is not None:
+        begins |= np.diff(own) != 0
+    edges = [0, *(np.flatnonzero(begins) + 1).tolist(), len(time_s)]
+    for first, end in pairwise(edges):
+        rows = np.arange(first, end)
+        if own is None or other is None:
+            yield rows, np.arange(len(goal.stream.time_s))
+        else:
+            yield rows, np.flatnonzero(other == own[first])
 
 
 def _apart(goal: Match, measured: Match) -> float:

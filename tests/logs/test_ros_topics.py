@@ -118,10 +118,7 @@ def test_columns_of_a_sparse_table_keep_their_own_stamps(tmp_path):
 @pytest.mark.parametrize("frame", ["other", ""])
 def test_a_second_writer_that_sends_zeros_is_asked_about_and_left_out(tmp_path, arm, frame):
     states, goals = motion_rows()
-    zeros = [
-        (receipt + 0.004, stamp + 0.004, JOINTS, [0.0, 0.0], frame)
-        for receipt, stamp, _, _ in states
-    ]
+    zeros = [(receipt + 0.004, stamp + 0.004, JOINTS, [0.0, 0.0], frame) for receipt, stamp, _, _ in states]
     bag = write_states(tmp_path / "bag", states + zeros, goals=goals)
     with pytest.raises(RequestError, match="2 writers tell different values of shoulder") as asked:
         import_log(bag, arm, tmp_path / "recording")
@@ -147,7 +144,9 @@ def test_a_noisy_encoder_and_a_fast_motion_are_one_writer(tmp_path):
     ):
         states = [(t, t, ("shoulder",), [value]) for t, value in zip(time_s, position, strict=True)]
         folder = tmp_path / f"bag{position[7]:.3f}"
-        assert not [q for stream in read_log(write_states(folder, states)) for q in questions(stream.findings)]
+        assert not [
+            q for stream in read_log(write_states(folder, states)) for q in questions(stream.findings)
+        ]
 
 
 @pytest.mark.parametrize("rate", [0.98, 1.0005])
@@ -159,9 +158,7 @@ def test_topics_of_clocks_that_run_at_other_rates_are_put_on_one(tmp_path, arm, 
     said = next(text for text in result.remarks if "its clock runs at" in text)
     assert float(said.split()[5]) == pytest.approx(rate, rel=1e-4)
     last = read_recording(result.folder).trials[-1]
-    lead = [
-        np.sum((np.roll(last.inputs[:, 0], shift) - last.outputs[:, 0]) ** 2) for shift in range(-20, 21)
-    ]
+    lead = [np.sum((np.roll(last.inputs[:, 0], shift) - last.outputs[:, 0]) ** 2) for shift in range(-20, 21)]
     straight = [
         np.sum((np.roll(goal, shift) - angle) ** 2)
         for shift in range(-20, 21)
