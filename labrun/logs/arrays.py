@@ -23,6 +23,10 @@ _EPISODE_COLUMNS = (
 _EPISODE_GROUP = re.compile(
     r"(?i)(demo|episode|ep|trial|traj|trajectory|rollout|run|take|seq|sequence)s?[_-]?(\d+)"
 )
+_CLOCK_WORDS = {
+    "", "t", "time", "times", "timestamp", "timestamps", "stamp", "s", "ms", "us", "ns", "sec", "secs", "seconds", "nanosec",
+    "nsec", "nsecs", "nanosecs", "nanoseconds", "header", "datetime", "date", "clock", "utc", "tout",
+}  # fmt: skip
 _COUNTERS = ("frame_index", "index", "task_index")
 
 
@@ -228,23 +232,7 @@ def _words(path: str) -> set[str]:
 
 def _names_of_clock(clock: str) -> set[str]:
     """Return what a column of time is of, by its name: ``t_cmd`` is of ``cmd``."""
-    last = clock.rpartition("/")[2]
-    return _words(last) - {
-        "",
-        "t",
-        "time",
-        "times",
-        "timestamp",
-        "timestamps",
-        "stamp",
-        "s",
-        "ms",
-        "us",
-        "ns",
-        "sec",
-        "secs",
-        "seconds",
-    }
+    return _words(clock.rpartition("/")[2]) - _CLOCK_WORDS
 
 
 def _without_stamps(

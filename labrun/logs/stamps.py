@@ -24,7 +24,7 @@ _NAMED = re.compile(
 )
 _SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds")
 _NOT_STAMPS = ("run_time", "cycle_time", "loop_time", "time_from_start", "response_time", "compute_time")
-_LEAST_HZ, _LEAST_SURE_HZ, _MOST_HZ = 0.2, 2.0, 5000.0
+_LEAST_HZ, _LEAST_SURE_HZ, _MOST_HZ = 0.5, 2.0, 5000.0
 """Robots are logged at rates between these; between the first two, seconds and milliseconds are both possible."""
 _SAME_RATE = 1e-4
 

@@ -158,7 +158,7 @@ def _sorted(jumps: Sequence[Jump]) -> tuple[list[Jump], list[tuple[int, int]]]:
 
 
 def _beside_goal(goal: Match, measured: Match, findings: list[Finding]) -> Match:
-    """Return what was measured, moved by the whole turns between it and its goal after every gap and in every episode."""
+    """Return what was measured, moved by the whole turns between it and its goal, in every part without a gap."""
     column, stream = measured.column, measured.stream
     if (
         goal.stream is None
