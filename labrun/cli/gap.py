@@ -168,6 +168,10 @@ def diagnose(
             target = str(made.folder)
             if not as_json:
                 typer.echo(made.to_text(), err=True)
+        if not (model or more or anyway):
+            from labrun.app.check_recording import require_near
+
+            require_near(target, results=results)
         apart = not (whole or model or more or full_guard or explain_rest)
         why_together = joint_by_joint(target, results) if apart else None
         if why_together and log and not as_json:

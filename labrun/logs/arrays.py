@@ -24,8 +24,8 @@ _EPISODE_GROUP = re.compile(
     r"(?i)(demo|episode|ep|trial|traj|trajectory|rollout|run|take|seq|sequence)s?[_-]?(\d+)"
 )
 _CLOCK_WORDS = {
-    "", "t", "time", "times", "timestamp", "timestamps", "stamp", "s", "ms", "us", "ns", "sec", "secs", "seconds", "nanosec",
-    "nsec", "nsecs", "nanosecs", "nanoseconds", "header", "datetime", "date", "clock", "utc", "tout",
+    "", "t", "time", "times", "timestamp", "timestamps", "stamp", "s", "ms", "us", "ns", "sec", "secs", "seconds",
+    "nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds", "header", "datetime", "date", "clock", "utc", "tout",
 }  # fmt: skip
 _COUNTERS = ("frame_index", "index", "task_index")
 

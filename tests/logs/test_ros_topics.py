@@ -54,7 +54,7 @@ def write_states(path, messages, topic="/joint_states", goals=None):
 
 
 def motion_rows(scale=1.0, rate=1.0, offset_s=0.0, delay_s=0.002):
-    """Return the messages of a motion whose own clock runs at `rate` of the recorder's; its goals have receipts alone."""
+    """Return the messages of a motion whose clock runs at `rate` of the recorder's; its goals have receipts alone."""
     time_s, goals, angles = logs.motion(moves=4)
     states = [
         (t / rate + delay_s, t + offset_s, JOINTS, scale * angle)

@@ -1,6 +1,6 @@
 """Time in a column counts in the unit that its steps, its name or a person says; a doubt is asked about."""
 
-from datetime import datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta, timezone
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ def test_seconds_and_nanoseconds_in_two_columns_are_one_time(tmp_path, names):
     assert [one.name for one in stream.columns] == ["a"]
 
 
-@pytest.mark.parametrize("zone", [None, timezone.utc, timezone(timedelta(hours=2))])
+@pytest.mark.parametrize("zone", [None, UTC, timezone(timedelta(hours=2))])
 def test_dates_with_and_without_zone_are_time(tmp_path, zone):
     start = datetime(2026, 3, 1, 23, 59, 59, tzinfo=zone)
     cells = [(start + timedelta(milliseconds=20 * row)).isoformat() for row in range(80)]

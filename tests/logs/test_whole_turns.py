@@ -1,4 +1,4 @@
-"""Turns that no joint made are taken back where they last, left out where they are single, and told with their number."""
+"""Turns that no joint made are taken back where they last, left out where they are single, and counted."""
 
 import numpy as np
 import pytest

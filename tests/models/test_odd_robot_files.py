@@ -18,8 +18,10 @@ TWO = (
     "<mujoco><worldbody>" + BODY.format(body="a-1", joint="shoulder") + BODY.format(body="a_1", joint="elbow")
     + "</body></body></worldbody>{tendon}<actuator>{actuators}</actuator></mujoco>"
 )  # fmt: skip
+TENDON = (
     '<tendon><fixed name="cable"><joint joint="shoulder" coef="1"/><joint joint="elbow" coef="1"/></fixed>'
     "</tendon>"
+)
 URDF = (
     '<robot name="arm">{base}<link name="upper"><inertial><origin xyz="0 0 -0.1"/><mass value="0.5"/>'
     '<inertia ixx="1e-3" iyy="1e-3" izz="{izz}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
