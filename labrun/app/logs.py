@@ -28,6 +28,7 @@ from labrun.logs import (
     Stream,
     Wanted,
     align_clocks,
+    check_ranges,
     correct_turns,
     cut,
     decide_units,
@@ -323,9 +324,10 @@ def _read(paths: Sequence[Path], model: Path, answers: LogAnswers) -> _Reading:
     robot = _driven(model, streams, asked, repair=answers.repair) if is_robot(model) else None
     wanted = _of_robot(robot) if robot else _of_model(named_model(model, Path()))
     findings = [*map(Statement, robot.remarks if robot else ()), *findings]
+    answered = _without_absent_drives(asked, wanted, robot)
     matches: list[list[Match]] = []
     for log in logs:
-        pairs, told = matched(wanted, log, _within(asked, log, streams))
+        pairs, told = matched(wanted, log, _within(answered, log, streams))
         matches.append(pairs)
         findings += [*told, *unused(pairs, log)]
     if robot:
@@ -336,6 +338,7 @@ def _read(paths: Sequence[Path], model: Path, answers: LogAnswers) -> _Reading:
         pairs, clocks = align_clocks(pairs, _stamps(answers.stamps))  # noqa: PLW2901
         matches[place], turns = correct_turns(pairs)
         findings += [*clocks, *turns]
+    findings += check_ranges(matches)
     columns = tuple(sorted({column.name for stream in streams for column in stream.columns}))
     try:
         tables = []
@@ -361,6 +364,18 @@ def _read(paths: Sequence[Path], model: Path, answers: LogAnswers) -> _Reading:
     names, trials, trimmed = motions(whole, trials)
     findings += [*map(Statement, _left_out(whole, bad)), Statement(f"cut {how}"), *lost, *trimmed]
     return _Reading(robot, matches, columns, whole, trials, names, findings)
+
+
+def _without_absent_drives(
+    asked: Mapping[str, str], wanted: Sequence[Wanted], robot: Robot | None
+) -> dict[str, str]:
+    """Return the answers without those that a joint gets no drive: it has no such channel then."""
+    channels = {plain(channel.channel) for channel in wanted}
+    joints = () if robot is None else robot.joints
+    drives = {
+        plain(f"{joint.output}_{kind}") for joint in joints for kind in ("command", "torque")
+    } - channels
+    return {name: value for name, value in asked.items() if value != NOT or plain(name) not in drives}
 
 
 def _within(asked: Mapping[str, str], log: Sequence[Stream], streams: Sequence[Stream]) -> dict[str, str]:

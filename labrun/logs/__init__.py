@@ -14,13 +14,14 @@ from labrun.logs.stamps import SCALES
 from labrun.logs.streams import Column, Stream, column, plain
 from labrun.logs.trials import LEAST_TRIAL_S, cut, in_no_trial, motions
 from labrun.logs.turns import correct_turns, find_jumps
-from labrun.logs.units import TICKS, AskedUnits, Unit, decide_units
+from labrun.logs.units import TICKS, AskedUnits, Unit, check_ranges, decide_units
 from labrun.logs.writing import require_free, write_recording
 
 __all__ = [
     "HEADER", "LEAST_SAMPLES", "LEAST_TRIAL_S", "NOT", "SCALES", "TICKS", "AskedUnits", "ChannelPreview", "Column",
     "Finding", "LogTable", "Match", "Piece", "Question", "ReadOptions", "StampSource", "Statement", "Stream",
-    "Unit", "Wanted", "align_clocks", "column", "correct_turns", "cut", "decide_units", "find_jumps", "in_no_trial",
+    "Unit", "Wanted", "align_clocks", "check_ranges",
+    "column", "correct_turns", "cut", "decide_units", "find_jumps", "in_no_trial",
     "joined", "matched", "motions", "numbered", "plain", "previews", "questions", "read_log", "require_answered",
     "require_free", "statements", "table_of", "unusable", "unused", "write_recording",
 ]  # fmt: skip

@@ -1,8 +1,10 @@
 """Files of arrays: NumPy archives, HDF5, MATLAB. What a file claims is checked before memory is taken for it."""
 
+import io
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
@@ -23,6 +25,19 @@ def require_affordable(path: Path, claimed_bytes: int) -> None:
             f"{path} has {size:,} bytes and claims to hold {claimed_bytes:,}",
             hint="it is damaged, or packed very tightly: unpack it, or write less of it",
         )
+
+
+class BoundedFile(io.BufferedReader):
+    """A file of which nobody can ask for more bytes than it has: memory for them would be taken before that shows."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._size = path.stat().st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return at most what is left of the file."""
+        left = max(self._size - self.tell(), 0)
+        return super().read(left if size is None or size < 0 else min(size, left))
 
 
 def read_npz(path: Path) -> Arrays:
@@ -94,14 +109,15 @@ def read_mat(path: Path) -> Arrays:
     if start[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in start:
         return read_h5(path)
     sizes = {"double": 8, "single": 4, "int64": 8, "uint64": 8}
-    claimed = sum(
-        int(np.prod([float(n) for n in shape])) * sizes.get(kind, 4) for _, shape, kind in whosmat(path)
-    )
-    require_affordable(path, claimed)
+    with BoundedFile(path) as bounded:
+        listed = whosmat(cast("Any", bounded))
+    require_affordable(path, sum(math.prod(shape) * sizes.get(kind, 4) for _, shape, kind in listed))
+    with BoundedFile(path) as bounded:
+        content = loadmat(cast("Any", bounded), simplify_cells=True)
     values: dict[str, Any] = {}
     labels: dict[str, tuple[str, ...] | None] = {}
     unread: list[str] = []
-    for name, given in loadmat(path, simplify_cells=True).items():
+    for name, given in content.items():
         if name.startswith("__"):
             continue
         for key, value in _flat(name, given):

@@ -74,6 +74,17 @@ def find_jumps(
     return jumps
 
 
+def without_jumps(values: FloatArray, turn: float) -> FloatArray:
+    """Return a finite signal without its jumps by whole turns of one length."""
+    jumps = find_jumps(values, (turn,))
+    if not jumps:
+        return values
+    taken = np.zeros(len(values))
+    for jump in jumps:
+        taken[jump.row :] += jump.turns * turn
+    return values - taken
+
+
 def correct_turns(matches: Sequence[Match]) -> tuple[list[Match], list[Finding]]:
     """Return the matches of one log without turns that no joint made, and what was done."""
     findings: list[Finding] = []

@@ -13,6 +13,7 @@ from labrun.errors import RequestError
 from labrun.logs.findings import Finding, Question, Statement
 from labrun.logs.matching import Match, Wanted
 from labrun.logs.streams import plain
+from labrun.logs.turns import without_jumps
 
 Unit = Literal["rad", "deg", "ticks", "normalised", "percent", "m", "mm", "N m", "mN m", "A", "mA"]
 TICKS = 4096
@@ -125,14 +126,15 @@ class _Joint:
         return self.matches[0].wanted.range
 
     def values(self, kind: str | None = None) -> FloatArray:
+        """Return all numbers of the joint; where an angle wrapped at a whole turn, as if it had not."""
         own = [
-            one.column.values
+            one.column.values[np.isfinite(one.column.values)]
             for one in self.matches
             if one.column is not None and kind in (None, one.wanted.kind)
         ]
-        values = np.concatenate(own) if own else np.empty(0)
-        finite: FloatArray = values[np.isfinite(values)]
-        return finite
+        if self.matches[0].wanted.unit == "rad":
+            own = [without_jumps(without_jumps(values, 2 * math.pi), 360.0) for values in own]
+        return np.concatenate(own) if own else np.empty(0)
 
     def largest(self, kind: str | None = None) -> float:
         return float(np.max(np.abs(self.values(kind)), initial=0.0))
@@ -183,9 +185,13 @@ def decide_units(
     if hinges:
         units |= dict.fromkeys([joint.name for joint in hinges], _by_range(hinges, findings))
     made = [[_converted(match, units, asked, findings) for match in log] for log in logs]
-    findings = [*_summaries(made, asked), *findings]
-    findings += [finding for joint in joints for finding in _beyond(joint.name, made)]
-    return made, list(dict.fromkeys(findings))
+    return made, list(dict.fromkeys([*_summaries(made, asked), *findings]))
+
+
+def check_ranges(logs: Sequence[Sequence[Match]]) -> list[Finding]:
+    """Return what is said and asked of joints that were measured outside of their range in the model."""
+    names = dict.fromkeys(match.wanted.names[0] for log in logs for match in log)
+    return [finding for name in names for finding in _beyond(name, logs)]
 
 
 def _joints(matches: Sequence[Match]) -> list[_Joint]:

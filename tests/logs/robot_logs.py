@@ -2,6 +2,7 @@
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 
@@ -143,3 +144,11 @@ def write_bag(path, time_s, goals, angles, *, storage="mcap", clock_s=0.0, named
             writer.write(goal, received - 5_000_000, serialize(told(row), goal_type))
             writer.write(state, received, serialize(states(row), "sensor_msgs/msg/JointState"))
     return path
+
+
+def resident(*, afresh=False):
+    """Return the most memory that this process has had, bytes; `afresh`: from now on."""
+    if afresh:
+        Path("/proc/self/clear_refs").write_text("5")
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
