@@ -81,13 +81,28 @@ def diagnose(
     target: options.TargetOrRobot,
     model: Model = None,
     log: Annotated[
-        Path | None,
-        typer.Option(help="A robot's log: TARGET is then its MJCF or URDF file. What `labrun import` reads."),
+        list[Path] | None,
+        typer.Option(
+            help="A robot's log: TARGET is then its MJCF or URDF file. What `labrun import` reads; repeatable."
+        ),
     ] = None,
     mapping: options.Mapping = None,
     unit: options.Unit = None,
+    zero: options.Zero = None,
+    publisher: options.Publisher = None,
+    time: options.TimeColumn = None,
+    time_unit: options.TimeUnit = None,
+    stamps: options.Stamps = None,
     cut: options.Cut = None,
     rate: options.Rate = None,
+    repair: options.Repair = False,
+    anyway: Annotated[
+        bool,
+        typer.Option(
+            "--anyway",
+            help="Go on where the robot as stated misses a joint's goals by far more than it moves.",
+        ),
+    ] = False,
     more: More = None,
     withhold: Annotated[
         list[str] | None,
@@ -143,18 +158,23 @@ def diagnose(
         from labrun.app.diagnose import diagnose as diagnose_target
         from labrun.app.diagnose_robot import StoredRobotDiagnosis, diagnose_joints, joint_by_joint
 
-        if log is not None:
+        if log:
             from labrun.app.logs import import_log
 
-            made = import_log(
-                log, target, mapping=mapping or (), unit=unit, cut_s=options.seconds(cut), rate_hz=rate
+            answers = options.log_answers(
+                mapping, unit, zero, publisher, time, time_unit, stamps, cut, rate, repair
             )
+            made = import_log(log, target, answers=answers)
             target = str(made.folder)
             if not as_json:
                 typer.echo(made.to_text(), err=True)
+        if not (model or more or anyway):
+            from labrun.app.check_recording import require_near
+
+            require_near(target, results=results)
         apart = not (whole or model or more or explain_rest)
         why_together = joint_by_joint(target, results) if apart else None
-        if why_together and log is not None and not as_json:
+        if why_together and log and not as_json:
             typer.echo(f"not joint by joint: {why_together}", err=True)
         stored: StoredDiagnosis | StoredRobotDiagnosis
         with status() as note:

@@ -16,6 +16,10 @@ from labrun.gap.held_out import ExcessResidual, excess, group_means, unseen_resi
 from labrun.gap.noise import Noise
 
 
+_LEAST = 1e-12
+"""Mean squared error, in units of the noise, below which a prediction is exact."""
+
+
 @dataclass(frozen=True)
 class Units:
     """How the data are divided into units of evidence.
@@ -78,7 +82,7 @@ class UnseenError:
         the error that forms are allowed; of several outputs the mean of their logarithms, so that none outweighs the
         others.
     squares : (units, m)
-        The mean squared errors beyond the noise.
+        The mean squared errors, beyond the noise where it is known.
     excess
         The same residuals beyond the noise floor.
     rms : (m,)
@@ -121,11 +125,11 @@ def error_of(
     present = [group for group in range(len(data.conditions)) if data.of_group(group)]
     for group, blocks, (mean, count) in zip(present, units.blocks, group_means(data, residual), strict=True):
         own = float(np.mean([beyond[index] for index in data.of_group(group)])) if beyond else 0.0
-        noise_of_mean = noise.mean_floor(group, count)
+        beyond_noise = own - noise.mean_floor(group, count) if noise.known else own
         parts = np.array_split(np.square(mean / noise.sd), blocks)
-        rows += [np.maximum(np.mean(part, axis=0) + own - noise_of_mean, 0.0) for part in parts]
+        rows += [np.maximum(np.mean(part, axis=0) + beyond_noise, _LEAST) for part in parts]
     squares = np.array(rows)
-    # without repeats the noise of a sample is known to its order only, and what is left below it says nothing
-    log = np.mean(np.log(squares + 1.0 + units.form_error), axis=1)
+    noise_of_trial = 1.0 if noise.known else 0.0  # without repeats it is in the residual already
+    log = np.mean(np.log(squares + noise_of_trial + units.form_error), axis=1)
     rms = np.sqrt(np.mean(np.square(np.concatenate(residual)), axis=0))
     return UnseenError(log, squares, excess(data, noise, residual, beyond), rms)

@@ -138,3 +138,30 @@ def test_a_recording_whose_time_jumps_in_every_trial_is_refused_by_check_and_fit
     for use in (check_recording, fit):
         with pytest.raises(RecordingError, match="time jumps in every trial"):
             use(folder)
+def test_an_angle_whose_counter_wrapped_is_told_with_its_line(tmp_path):
+    folder = swing(tmp_path / "arm")
+    rows = (folder / "1.csv").read_text().splitlines()
+    rows[9:] = [f"{row.split(',')[0]},{float(row.split(',')[1]) - 2 * np.pi:.6f}" for row in rows[9:]]
+    (folder / "1.csv").write_text("\n".join(rows) + "\n")
+    (told, *_) = [text for text in check_recording(folder).remarks if "jumps" in text]
+    assert "angle jumps by 6.283 rad between two samples 1 time, first at line 10 of 1.csv" in told
+
+
+def test_whole_numbers_of_seconds_far_apart_may_be_milliseconds(tmp_path):
+    folder = swing(tmp_path / "arm", model="")
+    for file in folder.glob("*.csv"):
+        head, *rows = file.read_text().splitlines()
+        file.write_text(
+            "\n".join([head, *(f"{50 * k},{row.split(',')[1]}" for k, row in enumerate(rows))]) + "\n"
+        )
+    assert any("are they milliseconds?" in text for text in check_recording(folder).remarks)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "cp1252"])
+def test_a_recording_in_another_encoding_is_refused_by_its_name(tmp_path, encoding):
+    folder = swing(tmp_path / "arm")
+    (folder / "1.csv").write_text(
+        "time_s,angle,H\N{LATIN SMALL LETTER O WITH DIAERESIS}he\n0,0,0\n1,0,0\n", encoding=encoding
+    )
+    with pytest.raises(RecordingError, match="UTF-16" if encoding == "utf-16" else "Windows-1252"):
+        check_recording(folder)
