@@ -50,11 +50,20 @@ def test_nothing_is_said_of_units_that_are_right() -> None:
 
 
 def test_what_a_model_has_no_place_for_is_said_with_what_to_add() -> None:
-    bare = PENDULUM.replace('stiffness = "stiffness"\n', "")
+    bare = PENDULUM.replace('load = "gravity*cos(angle)"\n', "")
     said = " ".join(untried(parse_model(bare, "pendulum.toml")))
-    assert "backlash" in said
-    assert 'add stiffness = "..." to [sites.hinge]' in said
+    assert "load-dependent-friction" in said
+    assert 'add load = "..." to [sites.hinge]' in said
     assert not untried(pendulum())
+
+
+def test_where_no_stiffness_is_declared_effects_that_need_none_are_tried_in_its_place() -> None:
+    bare = parse_model(PENDULUM.replace('stiffness = "stiffness"\n', ""), "pendulum.toml")
+    assert not untried(bare)
+    scale = {("joint", "hinge"): Scale(travel=9.0)}
+    tried = {one.name.effect for one in candidates(bare, scale)}
+    assert {"spring-play", "constant-force", "elastic-transmission", "gear-play"} <= tried
+    assert not {"backlash", "rest-offset"} & tried
 
 
 SWING = """
