@@ -383,7 +383,7 @@ FAMILIES: Mapping[str, tuple[str, ...]] = {
         "presliding-friction",
     ),
     "hysteretic friction": ("presliding-friction", "hysteresis"),
-    "lost motion": ("backlash", "drive-play", "spring-play", "gear-play", "dead-band", "end-stop"),
+    "lost motion": ("backlash", "drive-play", "gear-play", "dead-band", "end-stop"),
     "friction under load": ("load-dependent-friction", "gear-efficiency"),
     "lateness": ("lag", "delay"),
 }

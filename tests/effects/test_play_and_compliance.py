@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig import MODEL, named
+from rig import named
 from scipy.integrate import solve_ivp
 
 from labrun.models import parse_model, simulate
@@ -156,13 +156,3 @@ def test_a_loaded_link_rests_half_of_the_play_further_than_its_servo_lets_it_sin
     ).outputs[-1, 0]
     sunk = -side * (weight + torque) / 60.0
     assert found == pytest.approx(sunk, abs=1e-4)
-
-
-def test_play_in_a_spring_is_the_same_where_the_site_declares_the_spring_and_where_it_does_not():
-    time_s = np.linspace(0, 3, 151)
-    still = np.zeros((151, 2))
-    declared = simulate(MODEL, time_s, still, effects=[named("backlash", gap=0.2)], substeps=4).outputs
-    guessed = named("spring-play", stiffness=50.0, gap=0.2)
-    assert simulate(MODEL, time_s, still, effects=[guessed], substeps=4).outputs == pytest.approx(
-        declared, abs=1e-12
-    )
