@@ -1,4 +1,4 @@
-"""Effects that no equation says: delay, exact lag, rate limit and motion profile of a signal, and an echo from walls."""
+"""Effects that no equation says: delay, exact lag, rate limit and profile of a signal, and an echo from walls."""
 
 # ruff: noqa: ARG001 - the signature is fixed, whatever of it a form uses
 

@@ -13,8 +13,8 @@ stiffness = 50.0
 damping = 0.8
 [equations]
 angle = "rate"
-rate = """(torque + 0*other + force.hinge + force.blade + force.stand + force.hand + force.arm + force.servo - stiffness*angle
-  - damping*rate) / inertia"""
+rate = """(torque + 0*other + force.hinge + force.blade + force.stand + force.hand + force.arm + force.servo
+  - stiffness*angle - damping*rate) / inertia"""
 [outputs]
 angle = "angle"
 rate  = "rate"

@@ -39,12 +39,16 @@ def test_either_direction_has_its_own_coefficient(difference, push):
 @settings(max_examples=20, deadline=None)
 @given(share=st.floats(-1.0, 1.0), start=st.floats(-5.0, 5.0))
 def test_with_a_mean_above_the_difference_it_only_brakes(share, start):
-    coasting = np.abs(_speed(0.0, named("asymmetric-damping", site="carriage", difference=5.0 * share), start=start))
+    coasting = np.abs(
+        _speed(0.0, named("asymmetric-damping", site="carriage", difference=5.0 * share), start=start)
+    )
     assert np.all(np.diff(coasting) <= 1e-12)
 
 
 def test_without_a_difference_nothing_changes():
-    assert _speed(3.0, named("asymmetric-damping", site="carriage", difference=0.0)) == pytest.approx(_speed(3.0))
+    assert _speed(3.0, named("asymmetric-damping", site="carriage", difference=0.0)) == pytest.approx(
+        _speed(3.0)
+    )
 
 
 @settings(max_examples=15, deadline=None)

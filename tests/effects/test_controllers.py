@@ -1,4 +1,4 @@
-"""What a drive's controller does and a model's does not: feedforward, integral term, torque limit, against closed forms."""
+"""What a drive's controller does and a model's does not: feedforward, integral term, torque limit."""
 
 import numpy as np
 import pytest
@@ -80,11 +80,15 @@ def test_a_negative_share_takes_away_what_the_models_controller_holds():
 
 def test_a_joint_whose_controller_knows_the_whole_motion_follows_its_goal_exactly():
     """Computed torque: started on the goal, with the right torque, the error stays zero; without, it does not."""
-    moving = parse_model(SERVO.replace("PLANNED", PLAN).replace("(goal - angle)", "(0.5*sin(3*t) - angle)"), "m")
+    moving = parse_model(
+        SERVO.replace("PLANNED", PLAN).replace("(goal - angle)", "(0.5*sin(3*t) - angle)"), "m"
+    )
     nothing, start = np.zeros((len(TIME), 1)), [0.0, 1.5]
     planned = named("dynamics-feedforward", "controller", "controller", share=1.0)
     goal = 0.5 * np.sin(3 * TIME)
-    followed = simulate(moving, TIME, nothing, initial_state=start, effects=[planned], substeps=8).outputs[:, 0]
+    followed = simulate(moving, TIME, nothing, initial_state=start, effects=[planned], substeps=8).outputs[
+        :, 0
+    ]
     alone = simulate(moving, TIME, nothing, initial_state=start, substeps=8).outputs[:, 0]
     assert followed == pytest.approx(goal, abs=1e-8)
     assert np.max(np.abs(alone - goal)) > 0.05

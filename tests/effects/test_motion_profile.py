@@ -20,7 +20,7 @@ def _course(goal, rate, ramp_time, between="hold", substeps=1, time_s=TIME):
 
 
 def _step(size, at_s=0.5):
-    return np.where(TIME >= at_s - 1e-9, size, 0.0)
+    return np.where(at_s - 1e-9 <= TIME, size, 0.0)
 
 
 @settings(max_examples=40, deadline=None)

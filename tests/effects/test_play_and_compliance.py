@@ -152,7 +152,12 @@ def test_a_loaded_link_rests_half_of_the_play_further_than_its_servo_lets_it_sin
     play = named("drive-play", site="joint", torque=torque)
     time_s = np.arange(0, 4, 0.01)
     found = simulate(
-        model, time_s, np.zeros((len(time_s), 1)), parameters={"weight": side * weight}, effects=[play], substeps=4
+        model,
+        time_s,
+        np.zeros((len(time_s), 1)),
+        parameters={"weight": side * weight},
+        effects=[play],
+        substeps=4,
     ).outputs[-1, 0]
     sunk = -side * (weight + torque) / 60.0
     assert found == pytest.approx(sunk, abs=1e-4)

@@ -93,7 +93,9 @@ def test_an_integral_adds_up_the_error_that_a_step_saw_in_its_middle():
     hidden = joint("integral-term", 0.5)
     for _ in range(200):  # each step asks at its beginning and in its middle, dt is half of it
         hidden.torque(0.0, 0.1, 0.0, 0.0)
-    assert hidden.torque(0.0, 0.1, 0.0, 0.0) == pytest.approx(40.0 * 0.1 * (1.0 + 200 * STEP_S / 0.5), rel=1e-9)
+    assert hidden.torque(0.0, 0.1, 0.0, 0.0) == pytest.approx(
+        40.0 * 0.1 * (1.0 + 200 * STEP_S / 0.5), rel=1e-9
+    )
 
 
 def test_a_profile_takes_the_drive_to_its_goal_within_its_limits():

@@ -65,7 +65,11 @@ def run(
             model.dof_armature[place] = 1e-3 * joint.armature
     data = mujoco.MjData(model)
     weighed = any("gravity-compensation" in joint.sizes for joint in drives.values())
-    moved = _asked(model, goal) if any("dynamics-feedforward" in joint.sizes for joint in drives.values()) else None
+    moved = (
+        _asked(model, goal)
+        if any("dynamics-feedforward" in joint.sizes for joint in drives.values())
+        else None
+    )
 
     def accelerations(time_s: float, goal: FloatArray, q: FloatArray, rate: FloatArray) -> FloatArray:
         torque, planned = kp * (goal - q) - kv * rate, np.zeros(len(kp))
@@ -109,7 +113,9 @@ def _asked(model: Any, goal: FloatArray) -> FloatArray:
 
     data, asked = mujoco.MjData(model), np.zeros_like(goal)
     rates = np.gradient(goal, SAMPLE_S, axis=0)
-    for row, (q, rate, push) in enumerate(zip(goal, rates, np.gradient(rates, SAMPLE_S, axis=0), strict=True)):
+    for row, (q, rate, push) in enumerate(
+        zip(goal, rates, np.gradient(rates, SAMPLE_S, axis=0), strict=True)
+    ):
         data.qpos[:], data.qvel[:], data.qacc[:] = q, rate, push
         mujoco.mj_inverse(model, data)
         asked[row] = data.qfrc_inverse
@@ -207,7 +213,15 @@ def _hidden(
 def _drives(hidden: dict[int, Joint]) -> dict[int, Joint]:
     return {
         place: replace(
-            joint, _late={}, _motor=None, _middle=None, _played=None, _bristle=0.0, _sum=0.0, _sum_middle=None, _profile=None
+            joint,
+            _late={},
+            _motor=None,
+            _middle=None,
+            _played=None,
+            _bristle=0.0,
+            _sum=0.0,
+            _sum_middle=None,
+            _profile=None,
         )
         for place, joint in hidden.items()
     }

@@ -129,7 +129,7 @@ class Joint:
         return value
 
     def _profiled(self, goal: float, top: float) -> float:
-        """Return the drive's own set-point, and move it on: as fast as it may, and braking in time to rest at the goal."""
+        """Return the drive's own set-point, and move it on: as fast as it may, braking in time to rest at the goal."""
         place, speed = self._profile or (goal, 0.0)
         now, h = place, self.dt / _PROFILE_STEPS
         slope = top / self.shape["ramp_s"]
