@@ -121,6 +121,8 @@ second = { equation = "other" }
 """
 _DPI = 140
 _TINTS = 48
+_SMALLER = 0.4
+"""The second size of an effect that starts at one, in units of the first."""
 _LARGEST = 3.0
 """The second size is at most so many times the first."""
 
@@ -225,8 +227,11 @@ def write_pictures(effects: Mapping[str, Effect], folder: Path) -> None:
 def _at(effect: Effect, rig: Rig, which: int) -> AttachedEffect:
     """Put an effect on the rig; only what can vanish changes with the size, its shape stays."""
     values = {}
+    sizes = [one for one in effect.parameters if one.neutral is not None]
+    alone = max((len(one.starts) for one in sizes), default=0) == 1
     for one in effect.parameters:
         starts = one.start_values(rig.scale)
+        starts = (starts[0], _SMALLER * starts[0]) if alone and one in sizes else starts
         most = _LARGEST * abs(
             starts[0]
         )  # friction above what drives the rig would only show that it stands still
