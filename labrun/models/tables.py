@@ -156,7 +156,7 @@ class MujocoOutput(Table):
 class SiteTable(Table):
     """A joint or a body, or the base, the tip or a link of a robot."""
 
-    kind: Literal["joint", "body", "base", "tip", "link"]
+    kind: Literal["joint", "body", "base", "tip", "link", "controller"]
     coordinate: Equation
     rate: Equation
     load: Equation = Expression.of(0.0)

@@ -57,6 +57,16 @@ def test_what_a_model_has_no_place_for_is_said_with_what_to_add() -> None:
     assert not untried(pendulum())
 
 
+def test_what_needs_no_declaration_is_tried_and_what_another_effect_does_is_not_missed() -> None:
+    bare = parse_model(PENDULUM.replace('stiffness = "stiffness"\n', ""), "pendulum.toml")
+    tried = {one.name.effect for one in candidates(bare, {("joint", "hinge"): Scale(travel=9.0)})}
+    assert {"elastic-transmission", "gear-play", "asymmetric-damping"} <= tried
+    # a spring that rests elsewhere is a constant force, whatever its stiffness
+    assert "rest-offset" not in tried
+    assert "constant-force" in tried
+    assert "rest-offset" not in " ".join(untried(bare))
+
+
 SWING = """
 name = "swing"
 states = ["angle", "rate"]
