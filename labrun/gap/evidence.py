@@ -15,7 +15,6 @@ from labrun.gap import criteria
 from labrun.gap.held_out import ExcessResidual, excess, group_means, unseen_residuals
 from labrun.gap.noise import Noise
 
-
 _LEAST = 1e-12
 """Mean squared error, in units of the noise, below which a prediction is exact."""
 

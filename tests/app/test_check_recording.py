@@ -138,6 +138,8 @@ def test_a_recording_whose_time_jumps_in_every_trial_is_refused_by_check_and_fit
     for use in (check_recording, fit):
         with pytest.raises(RecordingError, match="time jumps in every trial"):
             use(folder)
+
+
 def test_an_angle_whose_counter_wrapped_is_told_with_its_line(tmp_path):
     folder = swing(tmp_path / "arm")
     rows = (folder / "1.csv").read_text().splitlines()

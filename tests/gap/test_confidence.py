@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from labrun.gap.confidence import ceiling, confidence
+
 from labrun.gap.pipeline import search_causes
 
 from .benches import dry_friction, pendulum, recorded

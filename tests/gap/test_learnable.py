@@ -5,13 +5,13 @@ from dataclasses import replace
 import gap_examples
 import numpy as np
 import pytest
+from labrun.gap.verdict import VerdictBasis
 from swings import dataset_of, swing
 
 from labrun.gap.averaging import averaged
 from labrun.gap.diagnosis import BeyondScatter, Learnable, Sizes
 from labrun.gap.learnable import beyond_scatter, learnable_share
 from labrun.gap.recalibration import recalibrate
-from labrun.gap.verdict import VerdictBasis
 from labrun.models import load_model
 from labrun.report.gap_text import gap_lines
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from labrun.gap.noise_threshold import NoiseThreshold
 from scipy.integrate import solve_ivp
 
 from labrun.fit.dataset import Dataset, FitTrial
@@ -14,7 +15,6 @@ from labrun.gap import Options, diagnose_dataset
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate, candidates, site_scales
 from labrun.gap.lines import growth_in_wells, line_starts
-from labrun.gap.noise_threshold import NoiseThreshold
 from labrun.gap.recalibration import Recalibrated, recalibrate
 from labrun.models import Model, parse_model
 from labrun.store import SignalInfo

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from labrun.gap.noise_threshold import Null
 
 import labrun.effects
 from labrun.effects import Effect, EffectParameter, Scale, force_law
@@ -16,7 +17,6 @@ from labrun.gap.candidates import Candidate
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Name
 from labrun.gap.held_out import held_out_excess
-from labrun.gap.noise_threshold import Null
 from labrun.gap.recalibration import recalibrate, stated_problem, unsearched
 from labrun.gap.screening import Base, screen_all, survey
 from labrun.gap.selection import Chosen, Selector

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from labrun.gap.noise_threshold import NoiseThreshold
+from labrun.gap.other_laws import better_alone
 from scipy.integrate import solve_ivp
 
 from labrun.effects import load_effect
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import site_scales
-from labrun.gap.noise_threshold import NoiseThreshold
-from labrun.gap.other_laws import better_alone
 from labrun.gap.recalibration import recalibrate
 from labrun.gap.screening import refit
 

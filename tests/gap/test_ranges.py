@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from labrun.gap.noise_threshold import NoiseThreshold
 from scipy.integrate import solve_ivp
 
 from labrun.effects import Scale, load_effect
@@ -16,7 +17,6 @@ from labrun.gap.candidates import candidates, site_scales, untried
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.forms import best_form
 from labrun.gap.intervals import scatter
-from labrun.gap.noise_threshold import NoiseThreshold
 from labrun.gap.recalibration import recalibrate, stated, stated_problem, unit_remarks
 from labrun.gap.screening import Base, follow, rough, survey
 from labrun.models import parse_model

@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from labrun.gap.rating import least_to_remove, more_common, preferred, rivals_of
 
 from labrun.effects import Scale, load_effect
 from labrun.gap.diagnosis import Name
 from labrun.gap.held_out import ExcessResidual
-from labrun.gap.rating import least_to_remove, more_common, preferred, rivals_of
 
 SCALE = Scale(coordinate=1.0, rate=1.0, acceleration=1.0, force=1.0, signal=1.0, time_s=1.0)
 

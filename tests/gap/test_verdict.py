@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import pytest
+from labrun.gap.verdict import VerdictBasis, may_help_nothing, stands_all_the_same, verdict
 
 from labrun.gap.diagnosis import BeyondScatter, Shrinkage, Sizes
-from labrun.gap.verdict import VerdictBasis, may_help_nothing, stands_all_the_same, verdict
 
 
 def findings(

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from labrun.gap.noise_threshold import NoiseThreshold, chance_of_lines, independent_share, means_by_chance
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, filtfilt, lfilter
 
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.noise import of_sensor
-from labrun.gap.noise_threshold import NoiseThreshold, chance_of_lines, independent_share, means_by_chance
 from labrun.models import parse_model
 from labrun.store import SignalInfo
 

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import pytest
+from labrun.gap.verdict import VerdictBasis, limitations, sentence
 
 from labrun.gap.diagnosis import BeyondScatter, Cause, Name, ResampledNumber, Shrinkage, Sizes
-from labrun.gap.verdict import VerdictBasis, limitations, sentence
 
 CAUSES = (Cause(Name("bias", "angle"), 0.8, {"offset": ResampledNumber(0.1, 0.0, 0.2, "rad")}),)
 

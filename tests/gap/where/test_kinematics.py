@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from labrun.gap.where.equations import defined
 from where_cases import made
 
 from labrun.gap.where import find_places
-from labrun.gap.where.equations import defined
 
 
 @pytest.fixture(scope="module")
