@@ -1,5 +1,6 @@
 """`labrun gap diagnose`, `save`, `export`, `test`, `compare`, `plan` and `next`."""
 
+import signal
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -8,7 +9,8 @@ from typing import Annotated
 import typer
 
 from labrun.cli import blind, options
-from labrun.cli.output import INTERRUPTED, print_json, print_result, reported, status
+from labrun.cli.output import print_json, print_result, reported, status
+from labrun.interrupts import exit_code
 
 gap = typer.Typer(
     name="gap",
@@ -202,7 +204,7 @@ def diagnose(
         if stored.warning:
             typer.echo(f"labrun: {stored.warning}", err=True)
         if stored.was_interrupted:
-            raise typer.Exit(INTERRUPTED)
+            raise typer.Exit(exit_code(signal.SIGINT))
 
 
 def save(
