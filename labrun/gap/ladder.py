@@ -130,7 +130,14 @@ def verdict_of(search: Search, causes: Sequence[Cause], rest: Rest) -> Verdict:
 
 
 def sentence_of(
-    verdict: Verdict, sizes: Sizes, causes: Sequence[Cause], rest: Rest, differs: Sequence[str], noise: Noise
+    verdict: Verdict,
+    sizes: Sizes,
+    causes: Sequence[Cause],
+    rest: Rest,
+    differs: Sequence[str],
+    noise: Noise,
+    *,
+    complete: bool,
 ) -> str:
     """Return the answer as one sentence, behind one on what differs by trial."""
     unit = "the noise of one trial" if noise.known else "the sensor's noise"

@@ -195,6 +195,7 @@ class Selector:
     progress: Progress
     _tables: dict[Forms, Table] = field(default_factory=dict, repr=False)
     _fewer: dict[Forms, CauseSet | None] = field(default_factory=dict, repr=False)
+    _extensions: list[CauseSet] = field(default_factory=list, repr=False)
 
     def __post_init__(self) -> None:
         gap = self._judged(self.base).error.squares
@@ -213,6 +214,7 @@ class Selector:
         except (KeyboardInterrupt, TimeOver) as reason:
             stopped = "time" if isinstance(reason, TimeOver) else "interrupted"
             self.progress.note("stopped early: preparing the best answer so far")
+            self._take_best_judged()
         chosen, steps = self._described(self._best)
         judged = {candidate.name for table in self._tables.values() for candidate in table.judged}
         first, last = self._tables.get(self.reference.forms), self._tables.get(self._best.forms)
@@ -242,6 +244,15 @@ class Selector:
     def _leader(self, sets: Sequence[CauseSet]) -> CauseSet:
         table = np.array([entry.error.log for entry in sets])
         return sets[decide.leader(table, [entry.complexity for entry in sets], self.units.strata)]
+
+    def _take_best_judged(self) -> None:
+        """Extend the best set by a cause that was judged before its table was complete, if one is accepted."""
+        size = len(self._best.names) + 1
+        larger = [
+            entry for entry in self._extensions if entry.names > self._best.names and len(entry.names) == size
+        ]
+        if larger and self.is_accepted(leader := self._leader(larger), self._best):
+            self._best = leader
 
     def _is_explained(self, model: CauseSet) -> bool:
         """Tell whether nothing worth explaining is left: noise, or less of the gap than a cause has to close."""
@@ -438,7 +449,9 @@ class Selector:
         problem, z = screened.problem, screened.z
         if not self.noise.known:
             problem, z = settled_in_own_units(self.noise, problem, z)
-        return self._judged(self._based(problem, z, (*base.added, screened.candidate)))
+        extension = self._judged(self._based(problem, z, (*base.added, screened.candidate)))
+        self._extensions.append(extension)
+        return extension
 
     def _judged(self, base: Base) -> CauseSet:
         problem, z = base.problem, base.z
