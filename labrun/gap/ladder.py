@@ -153,10 +153,12 @@ def sentence_of(
             + (f"; as stated, the model was {significant(sizes.raw)} times {unit} off" if helps else "")
         )
     else:
-        text = (
-            "no cause in the library improves the prediction of data that the fit has not seen; "
-            + _rest_words(rest, unit)
+        nothing = (
+            "no cause in the library improves the prediction of data that the fit has not seen"
+            if complete
+            else "the search was stopped before it found a cause"
         )
+        text = f"{nothing}; {_rest_words(rest, unit)}"
     text = f"{text[:1].upper()}{text[1:]}."
     if not differs:
         return text
