@@ -331,7 +331,7 @@ def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
             named.append(name)
             sets.append(together)
     if not truth:
-        return "false alarm" if named or stored["verdict"] == "not-in-library" else "right"
+        return "false alarm" if named or stored["verdict"] == "unexplained" else "right"
     if not named:
         unseen = all(_too_small(one, stored.get("candidates", [])) for one in hidden)
         return "too small to be seen" if unseen else "missed"
@@ -342,7 +342,7 @@ def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
     as_well = {
         (one["effect"], one["site"])
         for one in stored.get("candidates", [])
-        if one["verdict"] == "indistinguishable"
+        if one["verdict"] == "rival"
     }
     return "right in part" if found or truth & as_well else "wrong"
 
