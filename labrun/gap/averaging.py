@@ -13,6 +13,17 @@ from labrun.gap import criteria
 from labrun.models import Model
 from labrun.spec import condition_key, condition_text, only, varying
 
+_FEWEST_ALIGNED_SAMPLES = 8
+"""Shorter repeats are not carried over to one time base, and say nothing about how they begin."""
+_MOST_CONDITIONS = 8
+"""Conditions that a model with states is held against, where enough of them were repeated to tell the noise."""
+_SAMPLES_APART = 2
+"""Repeats whose numbers of samples differ by more did not take the same course."""
+_SHARE_APART = 1e-3
+"""In long trials a sensor's own clock and its gaps make a difference of this share, too."""
+_SAME_INPUT = 0.01
+"""Inputs that differ by less than this part of their spread are one command, read at other times."""
+
 
 def averaged(dataset: Dataset, model: Model) -> Dataset:
     """Group the trials by condition and average repeats that are predicted by one simulation.
@@ -59,10 +70,10 @@ def without_crowding(data: Dataset) -> Dataset:
     kept = [group for group, count in enumerate(counts) if count > 1]
     once = [group for group, count in enumerate(counts) if count == 1]
     freedom = sum(count - 1 for count in counts)
-    if freedom < criteria.ENOUGH_FREEDOM or len(counts) <= criteria.MOST_CONDITIONS:
+    if freedom < criteria.ENOUGH_FREEDOM or len(counts) <= _MOST_CONDITIONS:
         return data
     places = _places([data.trials[data.of_group(group)[0]].condition for group in range(len(counts))])
-    while len(kept) < criteria.MOST_CONDITIONS and once:
+    while len(kept) < _MOST_CONDITIONS and once:
         far = [float(np.min(np.linalg.norm(places[kept] - places[one], axis=1))) for one in once]
         kept.append(once.pop(int(np.argmax(far))))
     kept.sort()
@@ -120,19 +131,19 @@ def _on_one_time_base(trials: Sequence[FitTrial]) -> list[FitTrial] | None:
     if _same_course(trials):
         return list(trials)
     first, step_s = trials[0], _step_s(trials[0])
-    apart = max(criteria.SAMPLES_APART, criteria.SHARE_APART * len(first.time_s))
+    apart = max(_SAMPLES_APART, _SHARE_APART * len(first.time_s))
     if any(abs(len(one.time_s) - len(first.time_s)) > apart for one in trials):
         return None
-    if len(first.time_s) < criteria.FEWEST_ALIGNED_SAMPLES:
+    if len(first.time_s) < _FEWEST_ALIGNED_SAMPLES:
         return None
     spread = np.maximum(np.std(first.inputs, axis=0), 1e-12)
     found = []
     for one in trials:
         ends = one.time_s[[0, -1]] - first.time_s[[0, -1]]
-        if np.any(np.abs(ends) > (criteria.SAMPLES_APART + 1) * step_s):
+        if np.any(np.abs(ends) > (_SAMPLES_APART + 1) * step_s):
             return None
         inputs = _carried(one.time_s, one.inputs, first.time_s, "linear")
-        if np.any(np.sqrt(np.mean(np.square(inputs - first.inputs), axis=0)) > criteria.SAME_INPUT * spread):
+        if np.any(np.sqrt(np.mean(np.square(inputs - first.inputs), axis=0)) > _SAME_INPUT * spread):
             return None
         outputs = _carried(one.time_s, one.outputs, first.time_s, "cubic")
         found.append(replace(one, time_s=first.time_s, inputs=first.inputs, outputs=outputs))
@@ -169,7 +180,7 @@ def _step_s(trial: FitTrial) -> float:
 def _same_beginning(trials: Sequence[FitTrial]) -> bool:
     """Tell whether the first samples of repeats differ no more than the samples after them do."""
     outputs = np.stack([trial.outputs for trial in trials])
-    if outputs.shape[1] < criteria.FEWEST_ALIGNED_SAMPLES:
+    if outputs.shape[1] < _FEWEST_ALIGNED_SAMPLES:
         return True
     spread = np.sqrt(np.mean(np.var(outputs, axis=0, ddof=1), axis=0))
     begin = np.mean(outputs[:, :FIRST_SAMPLES], axis=1)

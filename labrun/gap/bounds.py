@@ -10,6 +10,9 @@ from labrun.gap import criteria
 from labrun.gap.diagnosis import ResampledNumber
 from labrun.gap.screening import Base, Screened
 
+_LEVELS_ALIKE = 1.03
+"""Levels that differ by less than this factor are as good as one."""
+
 
 def upper_bounds(screened: Screened, base: Base, units: Mapping[str, str]) -> dict[str, ResampledNumber]:
     """Return how large an effect can be in these data (95 %), in SI: the largest size of what vanishes at zero.
@@ -104,7 +107,7 @@ class _Levels:
             best, near = near, min(parameter.lower, parameter.upper, key=abs)
             if not self._left(others, index, near) > limit:
                 return None
-        while abs(best) > criteria.LEVELS_ALIKE * abs(near):
+        while abs(best) > _LEVELS_ALIKE * abs(near):
             between = float(np.sign(near) * np.sqrt(near * best))
             if self._left(others, index, between) > limit:
                 near = between

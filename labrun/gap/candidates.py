@@ -25,6 +25,19 @@ from labrun.gap.diagnosis import Name
 from labrun.models import Model, Pointer, simulate, site_course
 from labrun.toml import suggest
 
+_START_COMBINATIONS = 4
+"""About so many combinations of the starts of an effect's parameters are looked at."""
+_START_SIZES = (1.0, 0.2, 3.0)
+"""Every start is looked at smaller and larger, too."""
+_PEAK_PERCENTILE = 99.0
+"""Percentile taken as peak."""
+_VISIBLE_PUSH = 1e-3
+"""Part of its motion by which a probing force must move a site before its answer is taken as linear."""
+_STRONGEST_PUSH = 1e12
+"""A site that a larger force does not move has no scale of forces."""
+_LEAST_LEVEL = 0.9
+"""Level of a saturated output, in units of the peak of what was read, which would have passed a lower one."""
+
 # ruff: noqa: ARG001 - the signature is fixed, whatever of it a form uses
 
 
@@ -155,7 +168,7 @@ def _force(
     where it changes nothing at all.
     """
     size = 1e-6
-    while size < criteria.STRONGEST_PUSH:
+    while size < _STRONGEST_PUSH:
         pushed = site_courses(problem, z, [push(problem.model, problem.model.sites[place].name, size)])
         if pushed is None:
             return None
@@ -168,11 +181,9 @@ def _force(
             share = max(
                 _peak(column) / spread for column, spread in zip(shown.T, problem.spread, strict=True)
             )
-        if share > criteria.VISIBLE_PUSH:
+        if share > _VISIBLE_PUSH:
             return size / share
-        size *= (
-            10.0 if share < 1e-3 * criteria.VISIBLE_PUSH else max(2.0, 3.0 * criteria.VISIBLE_PUSH / share)
-        )
+        size *= 10.0 if share < 1e-3 * _VISIBLE_PUSH else max(2.0, 3.0 * _VISIBLE_PUSH / share)
     return None
 
 
@@ -207,11 +218,11 @@ def site_courses(
     return found
 
 
-_ENDS = (100.0 - criteria.PEAK_PERCENTILE, criteria.PEAK_PERCENTILE)
+_ENDS = (100.0 - _PEAK_PERCENTILE, _PEAK_PERCENTILE)
 
 
 def _peak(values: FloatArray) -> float:
-    return float(np.percentile(np.abs(values), criteria.PEAK_PERCENTILE))
+    return float(np.percentile(np.abs(values), _PEAK_PERCENTILE))
 
 
 @dataclass(frozen=True)
@@ -318,7 +329,7 @@ def _as_read(effect: Effect) -> Effect:
 
     def possible(one: EffectParameter) -> EffectParameter:
         level = one.quantity == "signal" and one.neutral == np.inf
-        return replace(one, lower=max(one.lower, criteria.LEAST_LEVEL)) if level else one
+        return replace(one, lower=max(one.lower, _LEAST_LEVEL)) if level else one
 
     return replace(effect, parameters=tuple(possible(one) for one in effect.parameters))
 
@@ -359,11 +370,11 @@ def _starts(effect: Effect) -> tuple[tuple[float, ...], ...]:
     fitted = [parameter for parameter in effect.parameters if not parameter.held]
     combined = list(product(*(parameter.starts for parameter in fitted)))
     longest = max((len(parameter.starts) for parameter in fitted), default=0)
-    scanned = longest > criteria.START_COMBINATIONS
-    step = 1 if scanned else max(1, len(combined) // criteria.START_COMBINATIONS)
+    scanned = longest > _START_COMBINATIONS
+    step = 1 if scanned else max(1, len(combined) // _START_COMBINATIONS)
     found = []
     for start in combined[::step]:
-        for size in criteria.START_SIZES[:1] if scanned else criteria.START_SIZES:
+        for size in _START_SIZES[:1] if scanned else _START_SIZES:
             scaled = [
                 value if parameter.neutral is None or not np.isfinite(parameter.neutral) else value * size
                 for value, parameter in zip(start, fitted, strict=True)

@@ -13,6 +13,9 @@ from labrun.gap.pipeline import Search
 from labrun.gap.screening import Base, Screened
 from labrun.gap.selection import Chosen, Table
 
+_AT_BOUND = 1e-3
+"""Part of what is searched within which a size stands at its bound."""
+
 
 def causes_of(search: Search, dataset: Dataset, rng: np.random.Generator) -> tuple[Cause, ...]:
     """Return the causes with sizes and 95 % intervals from the final fit."""
@@ -179,7 +182,7 @@ def _bound_remark(search: Search, index: int) -> str:
         if parameter.lower > 0.0:  # what spans decades is searched in proportion
             within = np.log(within)
         low, value, high = within
-        if min(abs(value - low), abs(high - value)) < criteria.AT_BOUND * (high - low):
+        if min(abs(value - low), abs(high - value)) < _AT_BOUND * (high - low):
             at_bounds.append(parameter.name)
         variable += 1
     if not at_bounds:

@@ -22,6 +22,17 @@ from labrun.gap.unit_scatter import kept_unseen, scatter_of_trials
 from labrun.models import Model
 from labrun.notebook import as_reported
 
+_DIFFERENCES_FITTED = 4
+_DIFFERENCE_ROUNDS = 6
+"""Candidates that are fitted in each round, the most promising ones, and most rounds."""
+_DIFFERENCE_AS_GOOD = 0.02
+_DIFFERENCE_LITTLE = 0.1
+"""What removes less than the best by this part of that, or of what the best leaves, says as much."""
+_DIFFERENCE_KEPT = 0.5
+"""Part of its gain that a difference must keep on trials it did not see."""
+_KNOWN_NOT_TO_DIFFER = 0.2
+"""Half an interval, as a part of the value, up to which it may be said that something does not differ."""
+
 
 @dataclass(frozen=True)
 class UnitDifference:
@@ -178,22 +189,20 @@ def compare_units(
     tried = variables + len(library)
     differing = 0.0
     chosen: list[tuple[_Try, tuple[str, ...]]] = []
-    for _ in range(criteria.DIFFERENCE_ROUNDS):
+    for _ in range(_DIFFERENCE_ROUNDS):
         note(f"looking for what differs ({tried} things that could)")
         round_ = _round(pair, base_z, library, [one for one, _ in chosen], shared, each)
         if not round_:
             break
         most = max(one.gain for one in round_)
-        loss = max(
-            criteria.DIFFERENCE_AS_GOOD * most, criteria.DIFFERENCE_LITTLE * (pair.squares(base_z) - most)
-        )
+        loss = max(_DIFFERENCE_AS_GOOD * most, _DIFFERENCE_LITTLE * (pair.squares(base_z) - most))
         as_good = [one for one in round_ if one.gain >= most - loss]
         best = min(as_good, key=lambda one: (*one.rank, -one.gain))
         deviation, freedom = scatter_of_trials(best.problem, best.z)
         sizes = range(best.problem.size - best.added, best.problem.size)
         strength = max(abs(best.z[one]) / deviation[one] for one in sizes)
         beyond = strength > student(freedom, 1.0 - 0.025 / tried)
-        if not beyond or kept_unseen(best.problem, best.z, best.added) < criteria.DIFFERENCE_KEPT:
+        if not beyond or kept_unseen(best.problem, best.z, best.added) < _DIFFERENCE_KEPT:
             break
         rivals = tuple(one.words for one in as_good if one is not best and not _richer(one, best))
         chosen.append((best, rivals))
@@ -285,7 +294,7 @@ def _round(
         length = float(line @ line)
         return float(before @ line) ** 2 / length if length > 0 else 0.0
 
-    most = criteria.DIFFERENCES_FITTED
+    most = _DIFFERENCES_FITTED
     variables = sorted((one for one in shared if one not in gone), key=lambda one: -promise(one))[:most]
     taken = {one.candidate.name for one in chosen if one.candidate is not None}
     looked = each(lambda one: survey(base, one), [one for one in library if one.name not in taken])
@@ -381,7 +390,7 @@ def _told(
         moved = minimise(freed, np.insert(z, problem.size, 0.0), tolerance=1e-4, evaluations=20)
         change = _estimate(freed, moved, freed.size - 1, _unit(problem, variable, data))
         value = float(values[problem.priors.free[variable]])
-        narrow = 0.5 * (change.high - change.low) <= criteria.KNOWN_NOT_TO_DIFFER * abs(value)
+        narrow = 0.5 * (change.high - change.low) <= _KNOWN_NOT_TO_DIFFER * abs(value)
         known = narrow and change.low <= 0.0 <= change.high
         verdict = "both lack" if variable >= variables else "same" if known else "open"
         others.append(

@@ -6,7 +6,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit import Note, OutputNoise, Problem
-from labrun.gap import criteria, ladder
+from labrun.gap import ladder
 from labrun.gap.cause_table import candidate_table, causes_of
 from labrun.gap.diagnosis import ComparedTrace, Diagnosis, MissingForce, Place
 from labrun.gap.held_out import mean_residuals
@@ -15,6 +15,9 @@ from labrun.gap.pipeline import Search
 from labrun.gap.recalibration import member_residuals
 from labrun.gap.trial_wise import remaining, words
 from labrun.gap.where.difference import Difference
+
+_CONDITIONS_SHOWN = 4
+"""Conditions of which courses are kept for pictures, those with the largest gap first."""
 
 
 def traces_of(search: Search, *, with_causes: bool) -> tuple[ComparedTrace, ...]:
@@ -31,7 +34,7 @@ def traces_of(search: Search, *, with_causes: bool) -> tuple[ComparedTrace, ...]
     worst: dict[int, int] = {}
     for index in sorted(range(len(sizes)), key=lambda index: -sizes[index]):
         worst.setdefault(problem.data.trials[index].group, index)
-    order = list(worst.values())[: criteria.CONDITIONS_SHOWN]
+    order = list(worst.values())[:_CONDITIONS_SHOWN]
     return tuple(
         ComparedTrace(
             unit.label,

@@ -11,6 +11,19 @@ from labrun.fit import FEWEST_SAMPLES, Dataset, FitTrial
 from labrun.gap import criteria
 from labrun.spec import condition_key
 
+_LONG_STEP = 5.0
+"""A time step this many times as long as the usual one is a jump of the clock, or samples are missing."""
+_SELDOM = 0.02
+"""Where a larger part of the steps is long, a trial was sampled unevenly on purpose."""
+_SHORT_HOLE = 0.01
+"""Part of a trial's duration up to which a long step shifts little of what comes after it."""
+_INTERVALS_APART = 0.005
+"""Part by which the sampling intervals of repeats may differ."""
+_CONSTANT_OUTPUT = 1e-9
+"""Part of an output's size by which its values differ from rounding alone."""
+_FEWEST_LEVELS = 2
+"""An output that moves by no more steps of its resolution than this is not told from a constant one."""
+
 _SHOWN = 3
 
 
@@ -46,7 +59,7 @@ def with_sound_clocks(dataset: Dataset) -> CheckedTrials:
         usual_s, long = _long_steps(trial)
         if not len(long):
             kept.append(trial)
-        elif len(long) > max(1.0, criteria.SELDOM * (len(trial.time_s) - 1)):
+        elif len(long) > max(1.0, _SELDOM * (len(trial.time_s) - 1)):
             kept.append(trial)
             uneven.append(_called(trial))
         else:
@@ -55,7 +68,7 @@ def with_sound_clocks(dataset: Dataset) -> CheckedTrials:
                 f"{_place(trial, int(at))}: time goes on by {step:.3g} s; the usual step is {usual_s:.3g} s"
                 for at, step in zip(long, steps_s, strict=True)
             ]
-            if np.max(steps_s) > criteria.SHORT_HOLE * float(trial.time_s[-1] - trial.time_s[0]):
+            if np.max(steps_s) > _SHORT_HOLE * float(trial.time_s[-1] - trial.time_s[0]):
                 jumping.append(f"{_place(trial, int(long[np.argmax(steps_s)]))} ({np.max(steps_s):.3g} s)")
             else:
                 kept.append(trial)
@@ -98,7 +111,7 @@ def _disagreeing(dataset: Dataset) -> tuple[str, ...]:
             # of two, nobody can say which is wrong: each is held against the other
             compared = group if len(group) != 2 else [group[1 - place]]
             apart = interval_s / float(np.median([one for _, one in compared])) - 1.0
-            if abs(apart) > criteria.INTERVALS_APART:
+            if abs(apart) > _INTERVALS_APART:
                 found.append(f"{_called(trial)} ({100 * apart:+.1f} %)")
     if not found:
         return ()
@@ -115,7 +128,7 @@ def _long_steps(trial: FitTrial) -> tuple[float, NDArray[np.intp]]:
     if len(steps_s) < criteria.FEWEST_STEPS:
         return 0.0, np.empty(0, dtype=np.intp)
     usual_s = float(np.median(steps_s))
-    return usual_s, np.flatnonzero(steps_s > criteria.LONG_STEP * usual_s) if usual_s > 0 else np.empty(
+    return usual_s, np.flatnonzero(steps_s > _LONG_STEP * usual_s) if usual_s > 0 else np.empty(
         0, dtype=np.intp
     )
 
@@ -125,7 +138,7 @@ def _interval_s(trial: FitTrial) -> float | None:
     steps_s = np.diff(trial.time_s)
     if len(steps_s) < criteria.FEWEST_STEPS or not np.median(steps_s) > 0:
         return None
-    return float(np.mean(steps_s[steps_s <= criteria.LONG_STEP * np.median(steps_s)]))
+    return float(np.mean(steps_s[steps_s <= _LONG_STEP * np.median(steps_s)]))
 
 
 def _called(trial: FitTrial) -> str:
@@ -165,7 +178,7 @@ def require_informative(dataset: Dataset) -> None:
         size, span = float(np.max(np.abs(values))), float(np.ptp(values))
         levels = np.unique(values)
         unit = "" if output.unit in ("", "1") else f" {output.unit}"
-        if span <= criteria.CONSTANT_OUTPUT * size:
+        if span <= _CONSTANT_OUTPUT * size:
             shown = "zero" if size == 0.0 else f"{float(np.median(values)):.6g}{unit}"
             what = f"is {shown} throughout {dataset.name}"
         elif len(values) >= FEWEST_SAMPLES and _few_steps(levels, span):
@@ -188,6 +201,6 @@ def require_informative(dataset: Dataset) -> None:
 
 def _few_steps(levels: np.ndarray[tuple[int], np.dtype[np.float64]], span: float) -> bool:
     """Tell whether different values are a few neighbouring steps of one resolution."""
-    return len(levels) <= criteria.FEWEST_LEVELS + 1 and span <= (criteria.FEWEST_LEVELS + 0.01) * float(
+    return len(levels) <= _FEWEST_LEVELS + 1 and span <= (_FEWEST_LEVELS + 0.01) * float(
         np.min(np.diff(levels))
     )

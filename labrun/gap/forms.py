@@ -14,6 +14,11 @@ from labrun.gap.candidates import Candidate
 from labrun.gap.screening import Base, Screened, derivatives_around
 from labrun.gap.steps import in_shorter_steps
 
+_WIDENINGS = 3
+_WIDER = 5.0
+_NEAR_THE_END = 0.1
+"""How often, and by which factor, a range is widened at whose far end, within this part of it, a fit ended."""
+
 
 def in_fitting_range(base: Base, screened: Screened) -> Screened:
     """Return a candidate fitted within a range that holds its optimum, in steps that resolve its force."""
@@ -44,7 +49,7 @@ def _widened(base: Base, screened: Screened) -> Screened:
     The typical size at a site comes from the model as it is: play in a joint that is rigid there goes far beyond its
     wind-up.
     """
-    for _ in range(criteria.WIDENINGS):
+    for _ in range(_WIDENINGS):
         attached = screened.candidate.attached
         if attached is None:
             break
@@ -67,11 +72,11 @@ def _widened(base: Base, screened: Screened) -> Screened:
 def _further(parameter: EffectParameter, size: float) -> EffectParameter:
     if parameter.quantity == "ratio" or (parameter.neutral != 0.0 and parameter.quantity != "stiffness"):
         return parameter
-    if parameter.lower < 0.0 and size <= (1.0 - criteria.NEAR_THE_END) * parameter.lower:
-        return replace(parameter, lower=criteria.WIDER * parameter.lower)
-    if size < (1.0 - criteria.NEAR_THE_END) * parameter.upper:
+    if parameter.lower < 0.0 and size <= (1.0 - _NEAR_THE_END) * parameter.lower:
+        return replace(parameter, lower=_WIDER * parameter.lower)
+    if size < (1.0 - _NEAR_THE_END) * parameter.upper:
         return parameter
-    return replace(parameter, upper=criteria.WIDER * parameter.upper)
+    return replace(parameter, upper=_WIDER * parameter.upper)
 
 
 def _resolved(base: Base, screened: Screened) -> Screened:

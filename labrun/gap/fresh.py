@@ -19,11 +19,17 @@ from labrun.fit import (
     resample_trials,
     silent,
 )
-from labrun.gap import criteria
 from labrun.gap.diagnosis import ResampledNumber
 from labrun.gap.recalibration import stated
 from labrun.models import Model
 from labrun.notebook import as_reported
+
+_FRESH_HORIZONS_S = (0.1, 0.5, 2.0)
+"""How far ahead is predicted where nobody says."""
+_FRESH_STARTS = 40
+"""Predictions of one trial, spread evenly over it."""
+_FRESH_PIECES = 8
+"""Pieces that a single trial is resampled in."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +148,7 @@ def predict_fresh(
         notes.append(f"intervals rest on {len(dataset.trials)} trials only and are coarse")
     if len(dataset.trials) == 1:
         notes.append(
-            f"there is one trial: intervals come from {criteria.FRESH_PIECES} pieces of it and know nothing of "
+            f"there is one trial: intervals come from {_FRESH_PIECES} pieces of it and know nothing of "
             "how trials differ"
         )
     return FreshTest(
@@ -173,7 +179,7 @@ def _horizons(dataset: Dataset, asked: Sequence[float] | None, notes: list[str])
                 hint=f"behind the {FEWEST_SAMPLES} samples that tell the states, its longest trial leaves "
                 f"{longest:.3g} s: ask for more than 0 and at most that",
             )
-    fitting = tuple(sorted({*(asked or criteria.FRESH_HORIZONS_S)}))
+    fitting = tuple(sorted({*(asked or _FRESH_HORIZONS_S)}))
     short = [one for one in fitting if one > longest]
     if short:
         notes.append(f"trials are too short for a horizon of {' or '.join(f'{one:g}' for one in short)} s")
@@ -222,7 +228,7 @@ def _ahead(
 def _starts(trial: FitTrial, shortest_s: float) -> list[int]:
     """Return the samples at which predictions begin to learn their states."""
     last = int(np.searchsorted(trial.time_s, trial.time_s[-1] - shortest_s, side="right")) - FEWEST_SAMPLES
-    return [] if last < 0 else np.unique(np.linspace(0, last, criteria.FRESH_STARTS).astype(int)).tolist()
+    return [] if last < 0 else np.unique(np.linspace(0, last, _FRESH_STARTS).astype(int)).tolist()
 
 
 def _cut(trial: FitTrial, begin: int, end: int) -> FitTrial:
@@ -265,7 +271,7 @@ def _prediction(
     known = [np.all([np.isfinite(one) for one in trial], axis=0) for trial in zip(*errors, strict=True)]
     squares = [[np.square(one[where]) for one, where in zip(trials, known, strict=True)] for trials in errors]
     if len(known) == 1:
-        squares = [np.array_split(one[0], criteria.FRESH_PIECES) for one in squares]
+        squares = [np.array_split(one[0], _FRESH_PIECES) for one in squares]
     kept = [index for index, one in enumerate(squares[0]) if len(one)]
     if not kept:
         raise FitError(

@@ -11,6 +11,17 @@ from labrun.gap import criteria
 from labrun.gap.noise import Noise
 from labrun.gap.nuisance import information, unseen
 
+_FOLD_TOLERANCE = 0.001
+_FOLD_EVALUATIONS = 16
+"""As of fits, for those that do not see a condition."""
+_FOLD_RENEWALS = 2
+"""How often derivatives are taken anew at most in such a fit."""
+_FINER_STEPS = 8
+"""What is stiff in a withheld condition only is simulated again with so many times the integrator's steps."""
+_FLOOR_DRAWS = 200
+_FLOOR_PERCENTILE = 95.0
+"""Draws of noise behind the floor, and which of the gaps that noise alone leaves is called the floor."""
+
 
 @dataclass(frozen=True)
 class ExcessResidual:
@@ -104,8 +115,8 @@ def fitted_excess(problem: Problem, z: FloatArray, noise: Noise) -> ExcessResidu
 
 def floor_of(data: Dataset, noise: Noise, rng: np.random.Generator) -> float:
     """Return the systematic residual that noise alone shows at most in 95 of 100 experiments."""
-    drawn = [excess(data, noise, noise.draw(data, rng)).gap for _ in range(criteria.FLOOR_DRAWS)]
-    return float(np.percentile(drawn, criteria.FLOOR_PERCENTILE))
+    drawn = [excess(data, noise, noise.draw(data, rng)).gap for _ in range(_FLOOR_DRAWS)]
+    return float(np.percentile(drawn, _FLOOR_PERCENTILE))
 
 
 def unseen_residuals(problem: Problem, z: FloatArray) -> list[tuple[FloatArray, float]]:
@@ -250,13 +261,13 @@ def _learned(part: Problem, start: FloatArray, seen: Jacobian, known: FloatArray
         start,
         lower=np.where(stays, shared, part.priors.lower),
         upper=np.where(stays, shared, part.priors.upper),
-        tolerance=criteria.FOLD_TOLERANCE,
-        evaluations=criteria.FOLD_EVALUATIONS,
+        tolerance=_FOLD_TOLERANCE,
+        evaluations=_FOLD_EVALUATIONS,
         central=False,
         derivatives=seen,
         secant=True,
         confirmed=False,
-        renewals=criteria.FOLD_RENEWALS,
+        renewals=_FOLD_RENEWALS,
         residual=seen.residual,
     )
 
@@ -272,8 +283,8 @@ def _tested(
             start,
             lower=shared,
             upper=shared,
-            tolerance=criteria.FOLD_TOLERANCE,
-            evaluations=criteria.FOLD_EVALUATIONS,
+            tolerance=_FOLD_TOLERANCE,
+            evaluations=_FOLD_EVALUATIONS,
             central=False,
             derivatives=jacobian.part(test),
             secant=True,
@@ -295,7 +306,7 @@ def _predicted(part: Problem, z: FloatArray) -> list[FloatArray]:
     for index, trial in enumerate(part.data.trials):
         outputs = part.simulate(parameters, index, part.own(z, index))
         if outputs is None:  # what is stiff in this condition only may want shorter steps
-            outputs = part.with_substeps(criteria.FINER_STEPS * part.substeps).simulate(
+            outputs = part.with_substeps(_FINER_STEPS * part.substeps).simulate(
                 parameters, index, part.own(z, index)
             )
         means = np.broadcast_to(np.mean(trial.outputs, axis=0), trial.outputs.shape)

@@ -16,6 +16,11 @@ from labrun.gap.nuisance import off
 from labrun.gap.screening import Base
 from labrun.models import Model
 
+_FORM_OF_SIZES = 0.04
+"""Standard deviation that no size of an effect falls below, as a part of it."""
+_FORM_OF_LEVELS = 0.005
+"""The same of a level, which hardly depends on how its corner is rounded."""
+
 _RIDGE = 1e-10
 
 
@@ -209,7 +214,7 @@ def _form_error(parameter: EffectParameter) -> float:
     """Return the standard deviation that nature's form alone adds to a size or a level, as a part of it."""
     if parameter.neutral is None:
         return 0.0
-    return criteria.FORM_OF_LEVELS if np.isinf(parameter.neutral) else criteria.FORM_OF_SIZES
+    return _FORM_OF_LEVELS if np.isinf(parameter.neutral) else _FORM_OF_SIZES
 
 
 def parameter_value(

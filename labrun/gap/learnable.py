@@ -15,6 +15,19 @@ from labrun.gap import criteria
 from labrun.gap.candidates import site_courses, typical_time_s
 from labrun.gap.held_out import mean_residuals
 
+_LEARNED_PIECES = 8
+"""Pieces of every trial, one of which is withheld at a time."""
+_MOST_LEARNED = 5000
+"""Samples that are learned from."""
+_NEURONS = 150
+_LOOKED_AT = 3.0
+_STEEPNESS = (0.3, 10.0)
+"""Random neurons, at how many signals each looks in the mean, and how steep they are."""
+_RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
+"""Strengths of the ridge per sample."""
+_MEMORIES = (0.03, 0.125, 0.4)
+"""Pasts that are seen, in typical periods of the outputs."""
+
 
 def learnable_share(problem: Problem, z: FloatArray, *, conditions: bool = False) -> float:
     """Return the part of the squared residual that is predicted in pieces of time the regression did not see, 0 to 1.
@@ -62,7 +75,7 @@ def _share(
     problem: Problem, residual: Sequence[FloatArray], conditions: bool, seen: Sequence[FloatArray]
 ) -> float:
     """Return the part of a residual that signals `seen` predict where it was withheld, 0 to 1."""
-    stride = max(1, sum(map(len, residual)) // criteria.MOST_LEARNED)
+    stride = max(1, sum(map(len, residual)) // _MOST_LEARNED)
     inside = np.concatenate([one[::stride] for one in seen])
     wanted = np.concatenate([one[::stride] for one in residual])
     group = np.concatenate([one[::stride] for one in _pieces(problem.data, conditions)])
@@ -78,11 +91,11 @@ def _neurons(inside: FloatArray) -> FloatArray:
     rng = np.random.default_rng(0)
     size = np.std(inside, axis=0)
     signals = (inside - np.mean(inside, axis=0))[:, size > 0] / size[size > 0]
-    weight = rng.standard_normal((signals.shape[1], criteria.NEURONS))
-    weight *= rng.random(weight.shape) < criteria.LOOKED_AT / max(signals.shape[1], criteria.LOOKED_AT)
-    least, most = criteria.STEEPNESS
-    weight *= np.exp(rng.uniform(np.log(least), np.log(most), criteria.NEURONS))
-    threshold = rng.standard_normal(criteria.NEURONS) * np.linalg.norm(weight, axis=0)
+    weight = rng.standard_normal((signals.shape[1], _NEURONS))
+    weight *= rng.random(weight.shape) < _LOOKED_AT / max(signals.shape[1], _LOOKED_AT)
+    least, most = _STEEPNESS
+    weight *= np.exp(rng.uniform(np.log(least), np.log(most), _NEURONS))
+    threshold = rng.standard_normal(_NEURONS) * np.linalg.norm(weight, axis=0)
     return np.column_stack([np.ones(len(signals)), signals, np.tanh(signals @ weight + threshold)])
 
 
@@ -90,7 +103,7 @@ def _predictions(neurons: FloatArray, wanted: FloatArray, group: FloatArray) -> 
     """Return what is predicted of samples whose group was withheld, for several strengths of the ridge."""
     from scipy.linalg import solve
 
-    names, ridges = np.unique(group), np.array(criteria.RIDGES) * len(wanted)
+    names, ridges = np.unique(group), np.array(_RIDGES) * len(wanted)
     found = [np.zeros_like(wanted) for _ in ridges]
     whole, answer, one = neurons.T @ neurons, neurons.T @ wanted, np.eye(neurons.shape[1])
     for name in names:
@@ -106,7 +119,7 @@ def _pieces(data: Dataset, conditions: bool) -> list[FloatArray]:
     """Return the number of the piece of its trial, or of the condition, that every sample is in."""
     if conditions:
         return [np.full(len(one.time_s), float(one.group)) for one in data.trials]
-    count = criteria.LEARNED_PIECES
+    count = _LEARNED_PIECES
     return [np.floor(count * np.arange(len(one.time_s)) / len(one.time_s)) for one in data.trials]
 
 
@@ -135,7 +148,7 @@ def _signals(problem: Problem, z: FloatArray) -> dict[str, list[FloatArray]]:
 def _with_past(problem: Problem, trial: int, signals: FloatArray) -> FloatArray:
     """Return signals (n, p) of a trial with their slopes and their recent past."""
     time_s, memory_s = problem.data.trials[trial].time_s, typical_time_s(problem)
-    past = [_past(signals, time_s, memory_s * part) for part in criteria.MEMORIES]
+    past = [_past(signals, time_s, memory_s * part) for part in _MEMORIES]
     return np.column_stack([signals, _slopes(signals, time_s), *past])
 
 

@@ -12,11 +12,22 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit import Problem
-from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, site_courses
 from labrun.gap.held_out import mean_residuals
 from labrun.gap.motion import smoothed
 from labrun.gap.noise import fit_whitener, quantum
+
+_LINES = 2
+_SMALL_WAVE = 0.02
+_SHOWS_COORDINATE = 0.01
+"""So many lines of what is missing over a coordinate are starts, too."""
+_BINS_A_PERIOD = 8
+_NEIGHBOURS = 20
+_STEPS_A_PERIOD = 6.0
+"""Bins over the shortest period."""
+_LINE_SHARE = 0.2
+_FEWEST_WELLS = 3.0
+"""Part of the squares of a missing force in one line from which it holds the motion in wells, if it passes so many."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +53,11 @@ def line_starts(problem: Problem, z: FloatArray, candidate: Candidate) -> LineSt
         return LineStarts()
     limits = {one.name: (one.lower, one.upper) for one in candidate.attached.effect.parameters}
     found: list[tuple[float, ...]] = []
-    for periods, wave in missing.lines[: criteria.LINES]:
+    for periods, wave in missing.lines[:_LINES]:
         sine, cosine = np.clip(wave.imag, *limits["sine"]), np.clip(-wave.real, *limits["cosine"])
         found.append((periods, float(sine), float(cosine)))
-    for periods in missing.unpredicted[: criteria.LINES]:  # of these the phase is not known
-        found += [(periods, criteria.SMALL_WAVE, sign * criteria.SMALL_WAVE) for sign in (1.0, -1.0)]
+    for periods in missing.unpredicted[:_LINES]:  # of these the phase is not known
+        found += [(periods, _SMALL_WAVE, sign * _SMALL_WAVE) for sign in (1.0, -1.0)]
     return LineStarts(found, missing.told_apart)
 
 
@@ -56,7 +67,7 @@ def growth_in_wells(problem: Problem, z: FloatArray, candidate: Candidate) -> fl
     if missing is None or scale is None or not missing.accelerates or not missing.lines:
         return 0.0
     periods, wave = missing.lines[0]
-    if periods < criteria.FEWEST_WELLS * np.pi or abs(wave) ** 2 / 2.0 < criteria.LINE_SHARE * missing.square:
+    if periods < _FEWEST_WELLS * np.pi or abs(wave) ** 2 / 2.0 < _LINE_SHARE * missing.square:
         return 0.0
     return float(np.sqrt(abs(wave) * scale.force * periods * scale.of("per-coordinate") / scale.inertia))
 
@@ -110,7 +121,7 @@ def _missing(problem: Problem, z: FloatArray, candidate: Candidate) -> _Missing 
         told_apart = _told_apart(at * scale.of("per-coordinate"), *limits)
         return _Missing(False, [(periods, wave) for periods, wave, _ in lines], square, [], told_apart)
     steps = float(quantum(problem.data)[column]) / abs(slope) * scale.of("per-coordinate")
-    limits = limits[0], min(limits[1], 2.0 * np.pi / (criteria.STEPS_A_PERIOD * steps))
+    limits = limits[0], min(limits[1], 2.0 * np.pi / (_STEPS_A_PERIOD * steps))
     left = [one[:, [column]] for one in residuals]
     measured = np.concatenate([smoothed(one.time_s, one.outputs[:, [column]])[0] for one in trials])[:, 0]
     along = (measured - zero) / slope * scale.of("per-coordinate")
@@ -120,7 +131,7 @@ def _missing(problem: Problem, z: FloatArray, candidate: Candidate) -> _Missing 
     size = max(float(np.std(np.concatenate(left))), 1e-300)
     past = fit_whitener([one / size for one in left])
     white = np.concatenate([past.white(one / size) for one in left])[:, 0]
-    sharp = sorted(_lines(along, white, *limits, count=4 * criteria.LINES), key=lambda one: -one[2])
+    sharp = sorted(_lines(along, white, *limits, count=4 * _LINES), key=lambda one: -one[2])
     return _Missing(
         True,
         [(periods, wave) for periods, wave, _ in lines],
@@ -140,13 +151,13 @@ def _shown(coordinate: FloatArray, outputs: FloatArray) -> tuple[int | None, flo
         for column, values in enumerate(outputs.T):
             slope, zero = np.polyfit(coordinate, values, 1)
             away = np.std(values - slope * coordinate)
-            if slope != 0.0 and away <= criteria.SHOWS_COORDINATE * np.std(values):
+            if slope != 0.0 and away <= _SHOWS_COORDINATE * np.std(values):
                 return column, float(slope), float(zero)
     return None, 1.0, 0.0
 
 
 def _lines(
-    coordinate: FloatArray, signal: FloatArray, lower: float, upper: float, count: int = criteria.LINES
+    coordinate: FloatArray, signal: FloatArray, lower: float, upper: float, count: int = _LINES
 ) -> list[tuple[float, complex, float]]:
     """Return the largest lines of a signal over its coordinate: periods, amplitude, power beside its neighbours'."""
     from scipy.ndimage import median_filter
@@ -154,7 +165,7 @@ def _lines(
     travel = float(np.ptp(coordinate))
     if not travel > 0.0 or upper <= lower:
         return []
-    width = np.pi / upper / criteria.BINS_A_PERIOD * 2.0
+    width = np.pi / upper / _BINS_A_PERIOD * 2.0
     bins = max(int(np.ceil(travel / width)), 2)
     begin = float(np.min(coordinate))
     held = np.histogram(coordinate, bins, (begin, begin + bins * width), weights=signal - np.mean(signal))[0]
@@ -162,7 +173,7 @@ def _lines(
     periods = 2.0 * np.pi * np.arange(length // 2 + 1) / (length * width)
     waves = np.fft.rfft(held, length) * np.exp(-1j * periods * (begin + width / 2.0)) * 2.0 / len(signal)
     power = np.where((periods >= lower) & (periods <= upper), np.square(np.abs(waves)), 0.0)
-    around = median_filter(np.square(np.abs(waves)), size=4 * criteria.NEIGHBOURS + 1, mode="nearest")
+    around = median_filter(np.square(np.abs(waves)), size=4 * _NEIGHBOURS + 1, mode="nearest")
     found: list[tuple[float, complex, float]] = []
     while len(found) < count and power.any():
         top = int(np.argmax(power))

@@ -11,6 +11,15 @@ from labrun.arrays import FloatArray
 from labrun.fit import Dataset, FitTrial
 from labrun.gap import criteria
 
+_MOST_ORDER = 8
+"""Highest order of the autoregressive predictor that makes noise white."""
+_LEAST_INNOVATION = 1e-6
+"""Part of the variance that is left when a higher order of the predictor would be fitting rounding."""
+_MOST_STEPS = (80.0, 1.2816)
+"""Percentile of the sizes of second differences that tells noise, and what it is of a normal variable."""
+_FEWEST_WITNESS_SAMPLES = 64
+"""Shorter trials say nothing of the noise of a sample."""
+
 
 @dataclass(frozen=True)
 class Predictor:
@@ -108,7 +117,7 @@ def fit_whitener(sequences: Sequence[FloatArray]) -> Whitener:
 def _predictor(sequences: Sequence[FloatArray]) -> Predictor:
     longest = max(len(one) for one in sequences)
     total = sum(len(one) for one in sequences)
-    most = max(0, min(criteria.MOST_ORDER, longest // 10))
+    most = max(0, min(_MOST_ORDER, longest // 10))
     covariance = np.array(
         [
             sum(float(one[lag:] @ one[: len(one) - lag]) for one in sequences) / total
@@ -132,7 +141,7 @@ def _levinson(correlation: FloatArray) -> tuple[list[FloatArray], FloatArray]:
         last = coefficients[-1]
         reflection = (correlation[order] - last @ correlation[1:order][::-1]) / variance[-1]
         left = variance[-1] * (1.0 - reflection**2)
-        if left <= criteria.LEAST_INNOVATION:
+        if left <= _LEAST_INNOVATION:
             break
         coefficients.append(np.concatenate([last - reflection * last[::-1], [reflection]]))
         variance.append(left)
@@ -365,13 +374,13 @@ def of_sensor(units: Dataset, residual: Sequence[FloatArray]) -> Noise:
 def _sensor_sd(sequences: Sequence[FloatArray]) -> float:
     """Return the least of what several witnesses say of the noise of one channel, (n,) per trial."""
     size = float(np.sqrt(np.mean(np.square(np.concatenate(sequences)))))
-    long = [one for one in sequences if len(one) >= criteria.FEWEST_WITNESS_SAMPLES]
+    long = [one for one in sequences if len(one) >= _FEWEST_WITNESS_SAMPLES]
     if not long or size == 0.0:
         return size
     innovation = size * float(_predictor([one / size for one in long]).deviation[-1])
     # of most samples, not of all: where friction turns, a residual jumps, and that is no noise
     steps = np.abs(np.concatenate([np.diff(one, n=2) for one in long]))
-    most, of_normal = criteria.MOST_STEPS
+    most, of_normal = _MOST_STEPS
     difference = float(np.percentile(steps, most)) / of_normal / np.sqrt(6.0)
     densities = np.concatenate([np.square(np.abs(np.fft.rfft(one)[1:])) / len(one) for one in long])
     spectrum = np.sqrt(float(np.median(densities)) / np.log(2.0))

@@ -18,6 +18,16 @@ from labrun.gap.motion import smoothed
 from labrun.models import Model, measured_name, observed, simulate
 from labrun.store import SignalInfo
 
+_HELD_IN_WELLS = 0.25
+"""Part of the squares of a missing force in one line from which it holds the motion in wells, if it passes so many."""
+_RUNS_AWAY = 9.0
+"""Logarithm of the growth over a trial from which its end says nothing of its beginning."""
+_HELD_ON_COURSE = 0.1
+"""... by an observer in which what differs falls at least at this part of the rate that it grew at."""
+_PLACES_ALONG = 12
+_STATE_STEPS = 3
+"""Places of a trial where a model is linearised, and steps to the states that show what was measured there."""
+
 
 def kept_on_course(dataset: Dataset, model: Model) -> tuple[Dataset, Model, str]:
     """Return trials, and a model that they hold on course where it needs that, with a sentence; else as given.
@@ -36,9 +46,9 @@ def kept_on_course(dataset: Dataset, model: Model) -> tuple[Dataset, Model, str]
         return dataset, model, ""
     growth = float(np.max(np.linalg.eigvals(slope).real))
     duration_s = float(np.median([one.time_s[-1] - one.time_s[0] for one in trials]))
-    if growth * duration_s < criteria.RUNS_AWAY or not _leaves(model, dataset, trials):
+    if growth * duration_s < _RUNS_AWAY or not _leaves(model, dataset, trials):
         return dataset, model, ""
-    held = _held(dataset, model, trials, slope, shown, criteria.HELD_ON_COURSE * growth)
+    held = _held(dataset, model, trials, slope, shown, _HELD_ON_COURSE * growth)
     if held is None:
         return dataset, model, ""
     return *held, (
@@ -67,7 +77,7 @@ def kept_in_wells(dataset: Dataset, model: Model, growth: float) -> tuple[Datase
     slope, shown = (np.mean(np.concatenate(parts), axis=0) for parts in zip(*seen, strict=True))
     if not np.isfinite(slope).all():
         return None
-    held = _held(dataset, model, trials, slope, shown, criteria.HELD_IN_WELLS * growth)
+    held = _held(dataset, model, trials, slope, shown, _HELD_IN_WELLS * growth)
     if held is None:
         return None
     return *held, (
@@ -134,11 +144,11 @@ def _linearised(model: Model, trial: FitTrial) -> tuple[FloatArray, FloatArray]:
 
     told = {one.name: float(v) for one, v in zip(model.outputs, values[0], strict=True)}
     x = model.initial_state(trial.condition, first={**told, **model.told_first(trial.inputs[0])}, free=told)
-    places = np.linspace(0, len(trial.time_s) - 1, criteria.PLACES_ALONG).astype(int)
+    places = np.linspace(0, len(trial.time_s) - 1, _PLACES_ALONG).astype(int)
     found_a, found_c = [], []
     for place in places:
         u = np.ascontiguousarray(trial.inputs[place])
-        for _ in range(criteria.STATE_STEPS):  # states that show what was measured, and its rate
+        for _ in range(_STATE_STEPS):  # states that show what was measured, and its rate
             dx, y = at(x, u)
             a, c = slopes(x, u)
             short = np.concatenate([(values[place] - y) / size, (rates[place] - c @ dx) / speed])

@@ -40,6 +40,9 @@ from labrun.gap.selection import Selection, Selector
 from labrun.gap.trial_wise import ALSO_SHAPES, beginning_s, found_alone, set_anew, simulated_changes
 from labrun.models import Model
 
+_DEVIATION_NEARLY_ALL = 0.8
+"""Blocks of a trial that was never repeated, in all of which its deviation has to be the same."""
+
 
 @dataclass(frozen=True)
 class Search:
@@ -217,7 +220,7 @@ def _that_make_up_what_is_left(
         return likely[0] if likely else ()
     left = [_left_beside(problem, z, noise, one) for one in likely]
     least = int(np.argmin(left))
-    return likely[least] if left[least] <= 1.0 - criteria.DEVIATION_NEARLY_ALL else ()
+    return likely[least] if left[least] <= 1.0 - _DEVIATION_NEARLY_ALL else ()
 
 
 def _left_beside(problem: Problem, z: FloatArray, noise: Noise, deviations: Sequence[Deviation]) -> float:

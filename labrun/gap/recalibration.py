@@ -35,6 +35,19 @@ from labrun.gap.screening import refit
 from labrun.gap.trial_wise import begun_elsewhere, found_in_repeats
 from labrun.models import Model
 
+_PROBED_UNITS = 3
+"""Trials that are simulated with a parameter at the end of what is believed of it, to see whether it simulates."""
+_SAME_COURSE = 0.95
+_NEAR_FACTOR = 0.15
+"""Correlation with the stated model from which an output is its multiple; how near to a common mistake."""
+_REWEIGHED = 8
+_UNITS_SETTLED = 0.02
+"""Most fits without repeats in units of what the one before left, and the part by which these may still change."""
+_INTEGRATION_ERROR = 1.0
+"""Squares, in units of the noise and over all samples, that halving the integrator's steps may move the outputs by."""
+_MOST_SUBSTEPS = 64
+"""Steps of the integrator per sample beyond which they are not halved again."""
+
 Held = TypeVar("Held", bound=Problem)
 
 
@@ -136,7 +149,7 @@ def _for_stated(problem: Problem, z: FloatArray) -> Problem:
     """Return the problem in steps so short that the stated parameters simulate, too; itself if none are."""
     at, finer = np.concatenate([problem.priors.stated, problem.own_states(z)]), problem
     while finer.finite_residuals(at) is None:
-        if finer.substeps >= criteria.MOST_SUBSTEPS:
+        if finer.substeps >= _MOST_SUBSTEPS:
             return problem
         finer = finer.with_substeps(2 * finer.substeps)
     return finer
@@ -156,7 +169,7 @@ def settled_in_own_units(noise: Noise, problem: Problem, z: FloatArray) -> tuple
     Zeros by trial are as large as a hundred times the noise: what is left shrinks with each fit, until they are gone.
     """
     problem = in_units_of(noise, problem, z)
-    for _ in range(criteria.REWEIGHED):
+    for _ in range(_REWEIGHED):
         z = minimise(
             problem,
             z,
@@ -167,7 +180,7 @@ def settled_in_own_units(noise: Noise, problem: Problem, z: FloatArray) -> tuple
             confirmed=False,
         )
         before, problem = problem, in_units_of(noise, problem, z)
-        if np.allclose(problem.noise.weights, before.noise.weights, rtol=criteria.UNITS_SETTLED):
+        if np.allclose(problem.noise.weights, before.noise.weights, rtol=_UNITS_SETTLED):
             break
     return problem, z
 
@@ -209,14 +222,14 @@ def with_shorter_steps(problem: Problem, z: FloatArray) -> Problem:
     What integration alone differs by must not be taken for physics.
     """
     before = problem.simulated(z)
-    while problem.substeps < criteria.MOST_SUBSTEPS:
+    while problem.substeps < _MOST_SUBSTEPS:
         finer = problem.with_substeps(2 * problem.substeps)
         after = finer.simulated(z)
         moved = sum(
             float(np.sum(np.square((one - two) * problem.noise.weights)))
             for one, two in zip(before, after, strict=True)
         )
-        if moved <= criteria.INTEGRATION_ERROR:
+        if moved <= _INTEGRATION_ERROR:
             break
         problem, before = finer, after
     return problem
@@ -249,10 +262,10 @@ def unit_remarks(problem: Problem, stated: FloatArray) -> tuple[str, ...]:
         theirs = np.concatenate([one.outputs[:, column] for one in problem.data.trials])
         ours, theirs = ours - ours.mean(), theirs - theirs.mean()
         size, energy = float(ours @ theirs), float(ours @ ours)
-        if energy == 0.0 or size**2 < criteria.SAME_COURSE**2 * energy * float(theirs @ theirs):
+        if energy == 0.0 or size**2 < _SAME_COURSE**2 * energy * float(theirs @ theirs):
             continue
         for factor, words in _MISTAKEN.items():
-            if abs(size / energy / factor - 1.0) < criteria.NEAR_FACTOR:
+            if abs(size / energy / factor - 1.0) < _NEAR_FACTOR:
                 found.append(
                     f"{output.name} is {significant(size / energy, 3)} times what the model says and runs as it does: "
                     f"{words}. Check this before anything else."
@@ -297,7 +310,7 @@ def _simulates(problem: Problem, z: FloatArray, variable: int, value: float) -> 
     changed[variable] = value
     parameters, units = (
         problem.parameters(changed),
-        range(min(criteria.PROBED_UNITS, len(problem.data.trials))),
+        range(min(_PROBED_UNITS, len(problem.data.trials))),
     )
     return all(problem.simulate(parameters, unit, problem.own(changed, unit)) is not None for unit in units)
 

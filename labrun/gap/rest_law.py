@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from labrun.arrays import FloatArray
 from labrun.effects import Effect, Scale, Site, read_effects
 from labrun.fit import Note, Problem, silent
-from labrun.gap import criteria
 from labrun.gap.candidates import site_scales
 from labrun.gap.diagnosis import RestLaw, Term
 from labrun.gap.held_out import ExcessResidual, held_out_excess, mean_residuals
@@ -18,6 +17,20 @@ from labrun.gap.intervals import effect_units
 from labrun.gap.noise import Noise
 from labrun.gap.screening import Base, refit
 from labrun.models import simulate, site_course
+
+_LEAST_SHARE = 0.3
+"""Part of the excess that causes must remove on withheld conditions, however well they fit those they saw."""
+_LAW_TERMS = 3
+"""Most terms of a law."""
+_LAW_TERM_WORTH = 0.02
+"""Share of the rest, on withheld trials, that one term more has to remove."""
+_LAW_TERM_NEW = 0.1
+"""Part of a term that must be left once those already chosen have imitated it."""
+_LAW_BLOCKS = 8
+_LAW_RESAMPLES = 50
+"""Blocks of time that are withheld where there is one condition."""
+_LAW_SIGN_WIDTH = 0.02
+"""Part of the typical rate (or signal) over which the smoothed sign changes."""
 
 NAME = "rest-law"
 
@@ -115,7 +128,7 @@ def explain_rest(
     )
     after = _size(noise, mean_residuals(fitted, end))
     share = float(np.clip(1.0 - left, -1.0, 1.0))
-    if share < criteria.LEAST_SHARE:
+    if share < _LEAST_SHARE:
         return RestLaw(library.site.name, library.site.kind, (), share, before, before, "", (), {}, (), tried)
     return RestLaw(
         library.site.name,
@@ -169,9 +182,7 @@ def _formulas(problem: Problem, z: FloatArray, site: Site, scale: Scale) -> list
     """Return the terms of a site in multiples of typical motion, as an effect's equation has them."""
     if site.kind == "input":
         return [
-            _in_multiples(
-                one, signal=scale.signal, sign=f"signal/{_number(criteria.LAW_SIGN_WIDTH * scale.signal)}"
-            )
+            _in_multiples(one, signal=scale.signal, sign=f"signal/{_number(_LAW_SIGN_WIDTH * scale.signal)}")
             for one in _SIGNAL
         ]
     sizes = {"q": scale.coordinate, "rate": scale.rate}
@@ -179,7 +190,7 @@ def _formulas(problem: Problem, z: FloatArray, site: Site, scale: Scale) -> list
     if site.load:
         sizes["load"] = _load_of(problem, z, site)
         terms = (*_MOTION, *_LOADED) if sizes["load"] > 0 else _MOTION
-    sign = f"rate/{_number(criteria.LAW_SIGN_WIDTH * scale.rate)}"
+    sign = f"rate/{_number(_LAW_SIGN_WIDTH * scale.rate)}"
     return [_in_multiples(one, sign=sign, **sizes) for one in terms]
 
 
@@ -251,7 +262,7 @@ def folds_of_rows(problem: Problem, lengths: Sequence[int], rows: int) -> NDArra
     single = len(problem.data.conditions) < 2
     at = 0
     for trial, length in zip(problem.data.trials, lengths, strict=True):
-        fold[at : at + length] = np.arange(length) * criteria.LAW_BLOCKS // length if single else trial.group
+        fold[at : at + length] = np.arange(length) * _LAW_BLOCKS // length if single else trial.group
         at += length
     return fold
 
@@ -262,7 +273,7 @@ def _pursued(columns: FloatArray, values: FloatArray, count: int) -> list[int]:
     left, others, chosen = values.copy(), unit.copy(), list[int]()
     for _ in range(min(count, columns.shape[1])):
         size = np.linalg.norm(others, axis=0)
-        gain = np.where(size > criteria.LAW_TERM_NEW, np.abs(others.T @ left) / np.maximum(size, 1e-300), 0.0)
+        gain = np.where(size > _LAW_TERM_NEW, np.abs(others.T @ left) / np.maximum(size, 1e-300), 0.0)
         gain[chosen] = 0.0
         if not np.any(gain > 0):
             break
@@ -275,10 +286,10 @@ def _pursued(columns: FloatArray, values: FloatArray, count: int) -> list[int]:
 
 def _withheld(columns: FloatArray, values: FloatArray, fold: NDArray[np.intp]) -> list[float]:
     """Return the squares that 0, 1, ... terms leave of folds that neither choice nor fit has seen."""
-    left = [0.0] * (criteria.LAW_TERMS + 1)
+    left = [0.0] * (_LAW_TERMS + 1)
     for one in range(int(fold.max()) + 1):
         test, train = fold == one, fold != one
-        for count in range(criteria.LAW_TERMS + 1):
+        for count in range(_LAW_TERMS + 1):
             chosen = _pursued(columns[train], values[train], count)
             sizes = np.linalg.lstsq(columns[np.ix_(train, chosen)], values[train], rcond=None)[0]
             rest = values[test] - columns[np.ix_(test, chosen)] @ sizes
@@ -290,7 +301,7 @@ def _count(errors: Sequence[float]) -> int:
     """Return as many terms as each remove a little more on withheld folds."""
     best = 0
     for count in range(1, len(errors)):
-        if errors[count] < errors[best] - criteria.LAW_TERM_WORTH * (count - best) * errors[0]:
+        if errors[count] < errors[best] - _LAW_TERM_WORTH * (count - best) * errors[0]:
             best = count
     return best
 
@@ -302,7 +313,7 @@ def _chosen_again(
     names = np.unique(fold[fold >= 0])
     rows = {one: np.flatnonzero(fold == one) for one in names}
     found = np.zeros(columns.shape[1])
-    for _ in range(criteria.LAW_RESAMPLES):
+    for _ in range(_LAW_RESAMPLES):
         drawn = np.concatenate([rows[one] for one in rng.choice(names, size=len(names))])
-        found[_pursued(columns[drawn], values[drawn], count)] += 1.0 / criteria.LAW_RESAMPLES
+        found[_pursued(columns[drawn], values[drawn], count)] += 1.0 / _LAW_RESAMPLES
     return found

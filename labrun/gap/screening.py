@@ -14,6 +14,15 @@ from labrun.gap.lines import line_starts
 from labrun.gap.nuisance import NuisanceProjection
 from labrun.gap.steps import in_steps_that_follow
 
+_STARTS_FOLLOWED = 3
+"""Starts that are followed."""
+_STARTS_BESIDE_KNOWN = 1
+"""Starts that are followed beside the sizes at which an earlier fit of the same candidate ended."""
+_STARTS_ALIKE = 0.99
+"""Starts whose changes of the residuals have at least this cosine lead to one end."""
+_REFIT_RENEWALS = 12
+"""How often derivatives are taken at most in fits of candidates, and of what was chosen."""
+
 
 @dataclass(frozen=True)
 class Base:
@@ -98,7 +107,7 @@ class Survey:
         for place in range(len(self.starts)):
             if len(chosen) == most:
                 break
-            if not np.any(np.abs(unit[:, chosen].T @ unit[:, place]) > criteria.STARTS_ALIKE):
+            if not np.any(np.abs(unit[:, chosen].T @ unit[:, place]) > _STARTS_ALIKE):
                 chosen.append(place)
         return [self.starts[place] for place in chosen]
 
@@ -197,7 +206,7 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     known
         Sizes at which an earlier fit of this candidate ended, beside another base: a start like no other.
     """
-    starts = surveyed.different(criteria.STARTS_FOLLOWED if known is None else criteria.STARTS_BESIDE_KNOWN)
+    starts = surveyed.different(_STARTS_FOLLOWED if known is None else _STARTS_BESIDE_KNOWN)
     if known is not None:
         shared, own = base.z[: base.problem.size], base.problem.own_states(base.z)
         starts = [np.concatenate([shared, known, own]), *starts]
@@ -330,9 +339,7 @@ def ends_of(screened: Iterable[Screened]) -> dict[Name, FloatArray]:
 
 def refit(problem: Problem, z: FloatArray, *, tolerance: float = 1e-6) -> FloatArray:
     """Return the minimum that `z` leads to, followed closely."""
-    return minimise(
-        problem, z, tolerance=tolerance, evaluations=80, secant=True, renewals=criteria.REFIT_RENEWALS
-    )
+    return minimise(problem, z, tolerance=tolerance, evaluations=80, secant=True, renewals=_REFIT_RENEWALS)
 
 
 def _screened(base: Base, surveyed: Survey, problem: Problem, z: FloatArray, squares: float) -> Screened:

@@ -10,6 +10,19 @@ from labrun.fit import Problem
 from labrun.gap import criteria
 from labrun.models import Drive, simulate
 
+_FINER = 4
+_FINEST = 16
+"""Factor by which steps are shortened at a time, and most steps per sample."""
+_QUICK = 3.0
+_STEPS_FOLLOW = 0.01
+"""Intervals between samples that the pace of an effect's own states counts as quick up to."""
+_STEPS_STAY = 0.5
+_STEPS_STAY_IN_BASE = 0.1
+"""Where that moves it more, trials that together make up this part of what it may move by keep longer steps."""
+_SHORT_PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
+_SHORT_BESIDE = 2
+"""Parts of a trial that are shortened, those that change most first, and intervals on both sides of them."""
+
 
 def in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatArray] | None]:
     """Return the problem with steps short enough that `z` simulates, and the residuals there; None if none are.
@@ -43,9 +56,7 @@ def in_steps_that_follow(
         return problem, there
     while there is not None and (finer := _in_finer_steps(problem)) is not problem:
         after = finer.finite_residuals(z)
-        if after is None or _squares_between(after, there) <= criteria.STEPS_FOLLOW * _squares_between(
-            after, before
-        ):
+        if after is None or _squares_between(after, there) <= _STEPS_FOLLOW * _squares_between(after, before):
             break
         problem, there = finer, after
     return problem, there
@@ -54,7 +65,7 @@ def in_steps_that_follow(
 def _quick(pace_s: float, problem: Problem) -> bool:
     """Tell whether a pace is quick beside the samples."""
     intervals = [np.diff(one.time_s) for one in problem.data.trials] if np.isfinite(pace_s) else []
-    return bool(intervals) and pace_s <= criteria.QUICK * float(np.median(np.concatenate(intervals)))
+    return bool(intervals) and pace_s <= _QUICK * float(np.median(np.concatenate(intervals)))
 
 
 def in_shorter_steps(problem: Problem, z: FloatArray, moved: float) -> Problem:
@@ -74,8 +85,8 @@ def in_shorter_steps(problem: Problem, z: FloatArray, moved: float) -> Problem:
     change = fine - _squares_by_trial(problem, z)
     if abs(np.sum(change)) < moved:
         return problem
-    stays = _staying(change, criteria.STEPS_STAY * moved)
-    allowed = criteria.STEPS_STAY * moved / max(int(np.sum(~stays)), 1)
+    stays = _staying(change, _STEPS_STAY * moved)
+    allowed = _STEPS_STAY * moved / max(int(np.sum(~stays)), 1)
     drives = (
         drive if stay else _short_where_it_matters(problem, finer, z, index, float(fine[index]), allowed)
         for index, (drive, stay) in enumerate(zip(problem.drives, stays, strict=True))
@@ -92,22 +103,22 @@ def in_longer_steps(problem: Problem, z: FloatArray, fewest: Sequence[IntArray])
         Steps that it takes at least in every interval between samples.
     """
     pairs = zip(problem.steps, fewest, strict=True)
-    coarser = problem.with_steps([np.maximum(counts // criteria.FINER, least) for counts, least in pairs])
+    coarser = problem.with_steps([np.maximum(counts // _FINER, least) for counts, least in pairs])
     if coarser is problem:
         return problem
     before = _squares_by_trial(problem, z)
     change, moved = _squares_by_trial(coarser, z) - before, criteria.STEPS_DO * float(np.sum(before))
     if abs(np.sum(change)) <= moved:
         return coarser
-    stays = _staying(change, criteria.STEPS_STAY_IN_BASE * moved)
+    stays = _staying(change, _STEPS_STAY_IN_BASE * moved)
     both = zip(coarser.drives, problem.drives, stays, strict=True)
     return problem.with_drives([longer if stay else mine for longer, mine, stay in both])
 
 
 def _in_finer_steps(problem: Problem) -> Problem:
     """Return the problem in shorter steps everywhere; itself if none are to be shorter."""
-    few = criteria.FINEST
-    return problem.with_steps([np.where(one < few, criteria.FINER * one, one) for one in problem.steps])
+    few = _FINEST
+    return problem.with_steps([np.where(one < few, _FINER * one, one) for one in problem.steps])
 
 
 def _staying(change: FloatArray, moved: float) -> NDArray[np.bool_]:
@@ -132,9 +143,9 @@ def _short_where_it_matters(
     mine, finest = problem.steps[index], finer.steps[index]
     asking = np.where(finest > mine, _asking(problem, finer, z, index), -1.0)
     order = np.argsort(-asking, kind="stable")
-    beside = np.arange(-criteria.SHORT_BESIDE, criteria.SHORT_BESIDE + 1)
+    beside = np.arange(-_SHORT_BESIDE, _SHORT_BESIDE + 1)
     only, there = problem.part([index]), np.concatenate([z[: problem.size], problem.own(z, index)])
-    for part in criteria.SHORT_PARTS if np.isfinite(asking).all() else ():
+    for part in _SHORT_PARTS if np.isfinite(asking).all() else ():
         short = order[: int(np.ceil(part * len(order))), None] + beside
         short, counts = np.clip(short, 0, len(order) - 1), mine.copy()
         counts[short] = finest[short]

@@ -15,6 +15,22 @@ from labrun.gap import criteria
 from labrun.gap.candidates import typical_time_s
 from labrun.gap.noise import fit_whitener
 
+_BEGINNING = 0.05
+_BEGINNING_SAMPLES = 3
+_NO_DEVIATION = 0.3
+"""Part of a typical period that counts as a trial's beginning, at least so many samples."""
+_DEVIATION_FREEDOM = 30
+"""Degrees of freedom with which the variance that noise alone gives a deviation is known."""
+_MOST_DEVIATIONS = 3
+_DEVIATION_DRAWS = 200
+"""Deviations by trial that are taken apart at most, and draws of noise that each is compared with."""
+_DEVIATION_BLOCKS = 4
+"""Blocks of a trial that was never repeated, in all of which its deviation has to be the same."""
+_SIMPLER_SHARE = 0.02
+"""A candidate with fewer variables is preferred if it removes no less than this part of the excess less."""
+_FEWEST_AGREEING = 3
+"""Conditions from which candidates are compared by how far conditions agree."""
+
 _KINDS: tuple[DeviationKind, ...] = ("bias", "start time", "gain")
 ALSO_SHAPES: tuple[DeviationKind, ...] = ("gain", "start time", "input gain")
 """What changes with amplitude or frequency looks like these, too, but leaves something once everything is fitted."""
@@ -52,7 +68,7 @@ def found_in_repeats(
     left = [list(members) for members in residual]
     outputs = range(units.trials[0].outputs.shape[1])
     tried = [(kind, output) for kind in _KINDS for output in (outputs if kind != "start time" else (None,))]
-    while len(found) < criteria.MOST_DEVIATIONS:
+    while len(found) < _MOST_DEVIATIONS:
         rest = [one for one in tried if one not in [(other.kind, other.output) for other in found]]
         looked = [_looked_at(units, left, simulated, kind, output) for kind, output in rest]
         best = max((one for one in looked if one is not None), key=lambda one: one[0], default=None)
@@ -102,7 +118,7 @@ def _looked_at(
     expected = _by_noise(units, after, simulated, kind, columns, scale)
     from scipy.stats import f
 
-    if f.sf(variance / max(expected, 1e-300), freedom, criteria.DEVIATION_FREEDOM) > criteria.DEVIATION_P:
+    if f.sf(variance / max(expected, 1e-300), freedom, _DEVIATION_FREEDOM) > criteria.DEVIATION_P:
         return None
     return taken / total, Deviation(kind, output, float(np.sqrt(variance))), after
 
@@ -139,11 +155,11 @@ def simulated_changes(problem: Problem, z: FloatArray) -> dict[tuple[DeviationKi
 
 def beginning_s(problem: Problem) -> float:
     """Return how long a trial's beginning lasts."""
-    return criteria.BEGINNING * typical_time_s(problem)
+    return _BEGINNING * typical_time_s(problem)
 
 
 def _samples_within(short_s: float, time_s: FloatArray) -> int:
-    return max(int(np.searchsorted(time_s, time_s[0] + short_s)), criteria.BEGINNING_SAMPLES)
+    return max(int(np.searchsorted(time_s, time_s[0] + short_s)), _BEGINNING_SAMPLES)
 
 
 def begun_elsewhere(problem: Problem, z: FloatArray, noise_sd: FloatArray) -> tuple[Deviation, ...]:
@@ -188,8 +204,8 @@ def _shared(own: FloatArray) -> float:
     """Return what deviations have in common; 0 where chance would make them agree as well."""
     from scipy.stats import ttest_1samp
 
-    if len(own) < criteria.FEWEST_AGREEING or np.ptp(own) == 0.0:
-        return float(np.mean(own)) if len(own) >= criteria.FEWEST_AGREEING else 0.0
+    if len(own) < _FEWEST_AGREEING or np.ptp(own) == 0.0:
+        return float(np.mean(own)) if len(own) >= _FEWEST_AGREEING else 0.0
     return float(np.mean(own)) if ttest_1samp(own, 0.0).pvalue <= criteria.DEVIATION_P else 0.0
 
 
@@ -234,7 +250,7 @@ def found_alone(
         shapes[one] = list(change)
     begin = [_samples_within(short_s, trial.time_s) for trial in units.trials]
     found, alone, left = list[Deviation](), list[Deviation](), list(residual)
-    while len(found) < criteria.MOST_DEVIATIONS:
+    while len(found) < _MOST_DEVIATIONS:
         rest = [one for one in shapes if one not in [(other.kind, other.output) for other in found]]
         looked = [
             got for one in rest if (got := _looked_at_alone(left, shapes[one], *one, begin)) is not None
@@ -245,7 +261,7 @@ def found_alone(
         if not steady:
             break
         most = max(one.share for one in steady)
-        best = next(one for one in steady if one.share >= most - criteria.SIMPLER_SHARE)
+        best = next(one for one in steady if one.share >= most - _SIMPLER_SHARE)
         left = best.residual
         found.append(best.deviation)
     sets = [tuple(found)] if found else []
@@ -270,8 +286,8 @@ def _looked_at_alone(
     beginnings: Sequence[int],
 ) -> _Alone | None:
     """Return what one kind makes up of the residual; None if that is little, or not to be told."""
-    trials, blocks = len(residual), criteria.DEVIATION_BLOCKS
-    if trials < criteria.FEWEST_AGREEING or min(map(len, residual)) < blocks:
+    trials, blocks = len(residual), _DEVIATION_BLOCKS
+    if trials < _FEWEST_AGREEING or min(map(len, residual)) < blocks:
         return None
     every = output is None or kind in SIMULATED
     columns = slice(None) if every else slice(output, (output or 0) + 1)
@@ -337,9 +353,7 @@ def remaining(problem: Problem, z: FloatArray) -> tuple[Deviation, ...]:
         return ()
     own = problem.own_states(z).reshape(len(problem.data.trials), problem.own_size)[:, -count:]
     sizes = np.sqrt(np.mean(np.square(own), axis=0))
-    return tuple(
-        one for one, size in zip(problem.deviations, sizes, strict=True) if size >= criteria.NO_DEVIATION
-    )
+    return tuple(one for one, size in zip(problem.deviations, sizes, strict=True) if size >= _NO_DEVIATION)
 
 
 def words(
@@ -414,7 +428,7 @@ def _by_noise(
     size = np.where(size > 0, size, 1.0)
     whitener = fit_whitener([one / size for one in left])
     drawn = []
-    for _ in range(criteria.DEVIATION_DRAWS):
+    for _ in range(_DEVIATION_DRAWS):
         index = int(rng.integers(len(simulated)))
         signature = (shape_of(kind, simulated[index], units.trials[index].time_s) / scale)[:, columns]
         noise = (whitener.coloured(rng.standard_normal(simulated[index].shape)) * size)[:, columns]

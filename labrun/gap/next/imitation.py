@@ -7,8 +7,10 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit import Problem
-from labrun.gap import criteria
 from labrun.gap.nuisance import basis, off
+
+_NEXT_TRIALS = (2, 4)
+"""Fewest and most trials that are proposed ."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ def greedy(
     """
     chosen: list[int] = []
     so_far = value(chosen)
-    fewest, most = criteria.NEXT_TRIALS
+    fewest, most = _NEXT_TRIALS
     while len(chosen) < min(most, len(cost)):
         rest = [index for index in range(len(cost)) if index not in chosen]
         gains = [value([*chosen, index]) - so_far for index in rest]

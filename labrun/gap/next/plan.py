@@ -22,6 +22,18 @@ from labrun.models import Model, simulate
 from labrun.notebook import as_reported
 from labrun.store import SignalInfo
 
+_ASSUMED_NOISE = 0.01
+"""Noise of one trial where nobody states it."""
+_PLANNED_SEEN = 5.0
+"""Standard deviations beyond all that parameters imitate, at which an effect counts as visible."""
+_PLANNED_ALIKE = 0.95
+"""Cosine between changes above which these trials would not tell two effects apart."""
+_PLANNED_OWN = 8
+_PLANNED_OTHERS = 24
+"""Most trials of the experiment itself, and beside them, that are looked at."""
+_PLANNED_GAIN = 0.05
+"""A further trial is worth it while it makes effects visible that are smaller by this, on average, in e-folds."""
+
 _SIZES = (1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
 """Sizes that are tried, as parts of what is typical at the site."""
 _MIDDLE = 3
@@ -164,8 +176,8 @@ def plan_trials(
     """
     note("looking what the rig allows")
     pool = [
-        *bench.trials(evenly(bench.measured, criteria.PLANNED_OWN)),
-        *evenly(bench.pool(rng), criteria.PLANNED_OTHERS),
+        *bench.trials(evenly(bench.measured, _PLANNED_OWN)),
+        *evenly(bench.pool(rng), _PLANNED_OTHERS),
     ]
     notes: list[str] = []
     kept, outputs = _simulated(model, pool, notes)
@@ -254,7 +266,7 @@ def _noise(model: Model, spread: FloatArray, stated: Mapping[str, float]) -> Flo
                 hint=f"its outputs are {', '.join(names)}",
             )
     return np.array(
-        [stated.get(name, criteria.ASSUMED_NOISE * size) for name, size in zip(names, spread, strict=True)]
+        [stated.get(name, _ASSUMED_NOISE * size) for name, size in zip(names, spread, strict=True)]
     )
 
 
@@ -301,10 +313,10 @@ def _chosen(pool: Sequence[PlannedTrial], tried: Sequence[_Tried], imitation: Im
     def value(chosen: Sequence[int]) -> float:
         strengths = [imitation.left(one.middle, chosen) ** 0.5 for one in tried]
         # what is far beyond visible, or far from it, need not become more so
-        room = 0.1 * criteria.PLANNED_SEEN, 20.0 * criteria.PLANNED_SEEN
+        room = 0.1 * _PLANNED_SEEN, 20.0 * _PLANNED_SEEN
         return float(np.mean(np.log(np.clip(strengths, *room)))) if strengths else 0.0
 
-    return greedy(value, [one.cost_s**0.5 for one in pool], lambda _: criteria.PLANNED_GAIN)
+    return greedy(value, [one.cost_s**0.5 for one in pool], lambda _: _PLANNED_GAIN)
 
 
 def _imitated(one: _Tried, strengths: FloatArray, chosen: Sequence[int]) -> bool:
@@ -320,7 +332,7 @@ def _held_against(
     told: Sequence[Visible], tried: Sequence[_Tried], imitation: Imitation, chosen: Sequence[int]
 ) -> list[Visible]:
     """Return what is visible with the names of what would look the same."""
-    alike = imitation.cosines([one.middle for one in tried], chosen) > criteria.PLANNED_ALIKE
+    alike = imitation.cosines([one.middle for one in tried], chosen) > _PLANNED_ALIKE
     seen = [one.size is not None for one in told]
     return [
         replace(
@@ -337,7 +349,7 @@ def _held_against(
 
 def _visible(one: _Tried, imitation: Imitation, chosen: Sequence[int], units: Mapping[str, str]) -> Visible:
     """Return the size from which on the chosen trials show an effect; whether any trial of the pool would."""
-    name, main, seen = Name(one.attached.effect.id, one.attached.site), one.main, criteria.PLANNED_SEEN
+    name, main, seen = Name(one.attached.effect.id, one.attached.site), one.main, _PLANNED_SEEN
     strengths = np.sqrt([imitation.left(each, chosen) for each in one.changes])
     imitated = _imitated(one, strengths, chosen)
     if imitated or np.max(strengths) < seen:

@@ -30,6 +30,11 @@ from labrun.gap.pipeline import Search, search_causes
 from labrun.notebook import as_html
 from labrun.store import imported_channels, open_run, require_writable
 
+_EVIDENCE_AIMED_AT = (3.0, 10.0)
+"""Evidence, over what a diagnosis asks for, at which no further trial is needed, to first order."""
+_ROOM_OF_OUTPUTS = 1.2
+"""How far beyond the recorded range of an output a planned recording may be predicted to go."""
+
 Outcome = Literal["separates", "helps", "cannot"]
 
 
@@ -382,7 +387,7 @@ def design(
     note(f"comparing {len(pool)} trials for {len(rivals.rivals)} explanations")
     separation = Separation(rivals, dataset, pool, criteria.NEXT_REPEATS)
     best: ProposedTrials | None = None
-    for enough in criteria.EVIDENCE_AIMED_AT:
+    for enough in _EVIDENCE_AIMED_AT:
         chosen = separation.choose(enough)
         expected = separation.evidence(chosen)
         trials = tuple(separation.trials[k] for k in chosen)
@@ -411,7 +416,7 @@ def inside(search: Search, dataset: Dataset, pool: Sequence[PlannedTrial]) -> li
     return [
         trial
         for trial, outputs in zip(pool, predicted, strict=True)
-        if outputs is not None and np.all(np.abs(outputs - middle) <= criteria.ROOM_OF_OUTPUTS * half)
+        if outputs is not None and np.all(np.abs(outputs - middle) <= _ROOM_OF_OUTPUTS * half)
     ]
 
 

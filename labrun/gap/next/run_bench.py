@@ -11,13 +11,15 @@ import tomli_w
 
 from labrun.errors import LabrunError, RequestError
 from labrun.fit import Dataset
-from labrun.gap import criteria
 from labrun.gap.next.trials import PlannedTrial, beyond, by_hand, evenly, reach, rounded, write_plan
 from labrun.models import Model
 from labrun.runner import MotionMaker, Plan, Planner
 from labrun.spec import Condition, Experiment, condition_text, load_experiment, loads_experiment, resolved
 from labrun.store import COMMAND, Run
 from labrun.toml import evaluate, names_in
+
+_BY_HAND_S = 60.0
+"""What a change by hand counts for when trials are chosen (chosen."""
 
 _MOST = 60
 _BASES = 4
@@ -152,7 +154,7 @@ class RunBench:
                     condition,
                     time_s,
                     inputs,
-                    self.time_s(plan) + plan.trials * criteria.BY_HAND_S * self._changes(condition),
+                    self.time_s(plan) + plan.trials * _BY_HAND_S * self._changes(condition),
                     reach=self._reach(condition),
                     begin_rad=begin[0] if len(begin) == 1 else 0.0,
                 )

@@ -15,6 +15,15 @@ from labrun.gap.next.trials import PlannedTrial, planned_data
 from labrun.gap.pipeline import Search
 from labrun.gap.selection import CauseSet
 
+_MOST_EXPLANATIONS = 6
+"""Explanations that are held against one another."""
+_PREDICTED_APART = 0.3
+"""Difference between rivals, in units of what the outputs do, beyond which a fit may not find its way."""
+_TOLD_APART = 1.5
+"""Evidence, over what a diagnosis asks for, at which two explanations are expected to be told apart."""
+_HOPELESS_EVIDENCE = 0.1
+"""Evidence of the whole pool below which a pair has no part in the choice, and trials are not worth their time."""
+
 NOTHING = "recalibration only"
 
 
@@ -103,7 +112,7 @@ def rivals_of(search: Search) -> Rivals:
             _named(cause.name, last),
             *(_named(entry.candidates[-1].name, entry) for entry in cause.rivals),
         ]
-        rivals = rivals[: criteria.MOST_EXPLANATIONS]
+        rivals = rivals[:_MOST_EXPLANATIONS]
         names = " or ".join(rival.name for rival in rivals[1:])
         why = f"The data do not separate {rivals[0].name} from {names}."
         return Rivals(tuple(rivals), null, True, why)
@@ -166,18 +175,18 @@ class Evidence:
     @property
     def told_apart(self) -> bool:
         """Whether a diagnosis is expected to decide between the two."""
-        return self.is_simpler or self.ratio >= criteria.TOLD_APART
+        return self.is_simpler or self.ratio >= _TOLD_APART
 
     @property
     def by_simplicity(self) -> bool:
         """Whether the rival would explain it as well, and loses for having more parameters."""
-        return self.is_simpler and self.ratio < criteria.TOLD_APART
+        return self.is_simpler and self.ratio < _TOLD_APART
 
 
 def hopeless(pairs: Sequence[Evidence]) -> bool:
     """Tell whether trials say next to nothing of any pair."""
     return all(
-        evidence.sigma < criteria.VISIBLE_DIFFERENCE or evidence.ratio < criteria.HOPELESS_EVIDENCE
+        evidence.sigma < criteria.VISIBLE_DIFFERENCE or evidence.ratio < _HOPELESS_EVIDENCE
         for evidence in pairs
     )
 
@@ -245,7 +254,7 @@ class Separation:
         apart = max(
             float(np.max(np.sqrt(np.mean(np.square(one - outputs[0]), axis=0)) / does)) for one in outputs[1:]
         )
-        return max(1.0, apart / criteria.PREDICTED_APART) ** 2 * self.trials[index].reach ** 2
+        return max(1.0, apart / _PREDICTED_APART) ** 2 * self.trials[index].reach ** 2
 
     def choose(self, enough: float) -> list[int]:
         """Return a few trials: the cheapest way first, and whatever separates best if that does not decide.
@@ -261,7 +270,7 @@ class Separation:
             return []
         looks = [self.evidence(one) for one in (*([k] for k in every), every)]
         most = [max(one.ratio for one in pair) for pair in zip(*looks, strict=True)]
-        hopeful = [pair for pair, ratio in enumerate(most) if ratio >= criteria.HOPELESS_EVIDENCE]
+        hopeful = [pair for pair, ratio in enumerate(most) if ratio >= _HOPELESS_EVIDENCE]
 
         def ratios(chosen: Sequence[int]) -> list[float]:
             found = self.evidence(chosen)
@@ -281,7 +290,7 @@ class Separation:
             )
 
         cheap = greedily(1.0)
-        return cheap if min(ratios(cheap)) >= criteria.TOLD_APART else max(cheap, greedily(0.0), key=value)
+        return cheap if min(ratios(cheap)) >= _TOLD_APART else max(cheap, greedily(0.0), key=value)
 
 
 def predict(rival: Rival, dataset: Dataset, trials: Sequence[PlannedTrial]) -> list[FloatArray | None]:

@@ -12,8 +12,11 @@ import tomli_w
 from labrun.arrays import FloatArray
 from labrun.errors import RequestError
 from labrun.fit import Dataset, FitTrial
-from labrun.gap import criteria
 from labrun.store import replace_durably, saving
+
+_FARTHEST_VALUE = 4.0
+_NO_LIMIT_NEAR = 20.0
+"""How far beyond the greatest measured value, as a factor, where no limit is nearer than the second."""
 
 T = TypeVar("T")
 
@@ -140,9 +143,9 @@ def _farthest(end: float, allowed: Callable[[float], bool]) -> float:
     """Return the farthest allowed value from `end` outwards."""
     if not allowed(end):
         return end
-    low, high = 1.0, criteria.NO_LIMIT_NEAR
+    low, high = 1.0, _NO_LIMIT_NEAR
     if allowed(high * end):  # no limit speaks of it
-        return criteria.FARTHEST_VALUE * end if allowed(criteria.FARTHEST_VALUE * end) else end
+        return _FARTHEST_VALUE * end if allowed(_FARTHEST_VALUE * end) else end
     for _ in range(_STEPS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if allowed(middle * end) else (low, middle)

@@ -13,6 +13,11 @@ from labrun.gap import criteria
 from labrun.gap.noise import Noise
 from labrun.models import Drive, Model, Site, simulate, site_course
 
+_LEAST_SIGNAL = 1e-3
+"""Of a signal that hardly varies."""
+_STANDS_STILL = 0.02
+"""Part of its peak rate below which something stands still, and does not reverse."""
+
 
 @dataclass(frozen=True)
 class Difference:
@@ -66,7 +71,7 @@ class Difference:
         """What residuals are measured in, shape (m,): the noise, where repeats tell it, else how much signals vary."""
         if self.noise.known:
             return self.noise_sd
-        return np.maximum(self._over_units(self.spread), self.noise_sd * criteria.LEAST_SIGNAL)
+        return np.maximum(self._over_units(self.spread), self.noise_sd * _LEAST_SIGNAL)
 
     @property
     def output_units(self) -> list[str]:
@@ -193,7 +198,7 @@ class Mover:
     def reversals(self, piece: int, time_s: FloatArray) -> FloatArray:
         """Return the times at which it turns: where its rate changes sign, between two times of really moving."""
         rate = self.rate[piece]
-        threshold = criteria.STANDS_STILL * float(np.max(np.abs(rate), initial=0.0))
+        threshold = _STANDS_STILL * float(np.max(np.abs(rate), initial=0.0))
         moving = np.flatnonzero(np.abs(rate) > threshold) if threshold > 0 else np.empty(0, dtype=int)
         turns = np.flatnonzero(np.diff(np.sign(rate[moving])) != 0)
         before, after = moving[turns], moving[turns + 1]

@@ -8,12 +8,23 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, Effect, EffectParameter, force_law
-from labrun.gap import criteria
 from labrun.gap.diagnosis import MissingForce
 from labrun.gap.where.difference import Difference, force_unit, load_unit
 from labrun.gap.where.periods import find_cycle
 from labrun.gap.where.significance import NuisanceSubspace
 from labrun.models import Pointer, Simulation, Site, SiteKind, simulate, site_course
+
+_KNOTS_PER_CYCLE = 12
+"""Of the missing force."""
+_FEWEST_KNOTS = 8
+_MOST_KNOTS = 96
+_MOST_COEFFICIENTS = 640
+"""Knots of the missing force in a unit of data, and over all units."""
+_FEWEST_FORCE_SAMPLES = 16
+_MOST_FORCE_UNITS = 80
+"""Shorter units have no missing force."""
+_FORCE_AS_GOOD = 0.02
+"""Part of the excess by which a simulation may miss what its linearisation promised."""
 
 _RIDGE = 1e-6
 """Beside the roughness: keeps a constant nobody sees from growing without bound."""
@@ -159,13 +170,13 @@ def missing_forces(difference: Difference) -> tuple[MissingForce, ...]:
 
 def _subset(difference: Difference) -> Difference | None:
     units = difference.units.trials
-    long = [index for index, unit in enumerate(units) if len(unit.time_s) >= criteria.FEWEST_FORCE_SAMPLES]
+    long = [index for index, unit in enumerate(units) if len(unit.time_s) >= _FEWEST_FORCE_SAMPLES]
     seen: dict[int, int] = {}
     rank = {}
     for index in long:
         rank[index] = seen.setdefault(units[index].group, 0)
         seen[units[index].group] += 1
-    chosen = sorted(sorted(long, key=lambda index: rank[index])[: criteria.MOST_FORCE_UNITS])
+    chosen = sorted(sorted(long, key=lambda index: rank[index])[:_MOST_FORCE_UNITS])
     if not chosen:
         return None
     if len(chosen) == len(units):
@@ -247,7 +258,7 @@ class _Search:
             if course is None or (best is not None and course.left >= best.left):
                 break
             best = course
-            if course.left - promised <= criteria.FORCE_AS_GOOD * self._before:
+            if course.left - promised <= _FORCE_AS_GOOD * self._before:
                 break
         return best
 
@@ -341,8 +352,8 @@ class _Search:
 
 def _knots(difference: Difference) -> list[FloatArray]:
     most = max(
-        criteria.FEWEST_KNOTS,
-        min(criteria.MOST_KNOTS, criteria.MOST_COEFFICIENTS // len(difference.units.trials)),
+        _FEWEST_KNOTS,
+        min(_MOST_KNOTS, _MOST_COEFFICIENTS // len(difference.units.trials)),
     )
     found = []
     for unit, simulated in zip(difference.units.trials, difference.simulated, strict=True):
@@ -350,9 +361,7 @@ def _knots(difference: Difference) -> list[FloatArray]:
         signals = [*trial.inputs.T, *simulated.T]
         cycle = find_cycle(trial.time_s, signals, trial.condition)
         duration = float(trial.time_s[-1] - trial.time_s[0])
-        wanted = (
-            most if cycle is None else int(np.ceil(criteria.KNOTS_PER_CYCLE * duration / cycle.period_s)) + 1
-        )
-        count = min(most, max(criteria.FEWEST_KNOTS, wanted), len(trial.time_s))
+        wanted = most if cycle is None else int(np.ceil(_KNOTS_PER_CYCLE * duration / cycle.period_s)) + 1
+        count = min(most, max(_FEWEST_KNOTS, wanted), len(trial.time_s))
         found.append(np.linspace(trial.time_s[0], trial.time_s[-1], count))
     return found

@@ -8,11 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
-from labrun.gap import criteria
 from labrun.gap.diagnosis import By
 from labrun.gap.where.difference import ConditionData, Difference, Mover
 from labrun.spec import Condition, condition_text, only, value_text, varying
 from labrun.toml import UNITS, split_unit
+
+_FEW_SAMPLES = 8
+"""Trials of fewer samples are taken for single measurements."""
+_MOST_NAMED = 3
+"""Conditions that are named one by one where they have a value in common."""
+_MOST_CUT = 12
+"""Conditions beyond which a part is not looked at in each of them apart."""
+_NEAR_END = 0.85
+"""Part of the travel to each side beyond which a coordinate is near its end."""
+_SLOW_MOTION = 0.1
+"""Part of the peak rate below which motion is slow."""
+_OFF_CENTRE = 0.5
+"""Part of half the travel by which its middle must be off zero to be told from it."""
+_NEAR_REVERSAL_S = 0.1
+_PART_OF_STROKE = 0.2
+"""What lies this near a reversal, and at most this part of the time to the next one."""
 
 _FREQUENCIES = ("frequency", "freq", "f", "drive_frequency")
 
@@ -196,7 +211,7 @@ def condition_sets(
                 for piece, yes in zip(pieces, chosen, strict=True)
                 if yes
             ]
-            named = isinstance(value, str) and 1 < len(labels) <= criteria.MOST_NAMED
+            named = isinstance(value, str) and 1 < len(labels) <= _MOST_NAMED
             text = joined_conditions(labels) if named else located({key: value})
             add(condition_text({key: value}), text, chosen)
     for key, several in values.items() if ranges else ():
@@ -214,7 +229,7 @@ def _keys(conditions: Sequence[Mapping[str, float | str]]) -> list[str]:
 
 def condition_parts(difference: Difference, layout: SampleLayout) -> list[Part]:
     """Return the conditions; where trials are single samples, also each channel in each of them."""
-    few = bool(np.median([piece.length for piece in layout.pieces]) <= criteria.FEW_SAMPLES)
+    few = bool(np.median([piece.length for piece in layout.pieces]) <= _FEW_SAMPLES)
     sets = condition_sets(difference, layout.pieces, ranges=few)
     parts = [Part("condition", one.at, one.text, layout.whole(one.chosen)) for one in sets]
     if few and layout.channels > 1:
@@ -234,7 +249,7 @@ def condition_parts(difference: Difference, layout: SampleLayout) -> list[Part]:
 def in_each_condition(difference: Difference, layout: SampleLayout, parts: Sequence[Part]) -> list[Part]:
     """Return parts of the time view cut by condition; none where there are too many conditions for that, or one."""
     singles = [one for one in condition_sets(difference, layout.pieces, ranges=False) if one.single]
-    if not 2 <= len(singles) <= criteria.MOST_CUT:
+    if not 2 <= len(singles) <= _MOST_CUT:
         return []
     return [
         Part(
@@ -254,7 +269,7 @@ def site_parts(mover: Mover, layout: SampleLayout) -> list[Part]:
     low, high = float(every.min()), float(every.max())
     half = 0.5 * (high - low)
     centre = 0.5 * (high + low)
-    if abs(centre) < criteria.OFF_CENTRE * half:
+    if abs(centre) < _OFF_CENTRE * half:
         centre = 0.0  # rest positions are zero mostly: a travel that straddles it is told by its sign
     peak = mover.peak_rate()
     name = plain(mover.label)
@@ -278,14 +293,14 @@ def site_parts(mover: Mover, layout: SampleLayout) -> list[Part]:
     ]
     middle = 0.5 * (high + low)
     parts += [
-        part("upper end", "the upper end of the travel", lambda q, _: q > middle + criteria.NEAR_END * half),
-        part("lower end", "the lower end of the travel", lambda q, _: q < middle - criteria.NEAR_END * half),
+        part("upper end", "the upper end of the travel", lambda q, _: q > middle + _NEAR_END * half),
+        part("lower end", "the lower end of the travel", lambda q, _: q < middle - _NEAR_END * half),
         part(
             "ends of travel",
             "the ends of the travel",
-            lambda q, _: np.abs(q - middle) > criteria.NEAR_END * half,
+            lambda q, _: np.abs(q - middle) > _NEAR_END * half,
         ),
-        part("slow", "slow motion", lambda _, rate: np.abs(rate) < criteria.SLOW_MOTION * peak),
+        part("slow", "slow motion", lambda _, rate: np.abs(rate) < _SLOW_MOTION * peak),
     ]
     if mover.load:
         parts += _thirds(mover.load, layout, f"{mover.name}: load", f"load at {name}", absolute=True)
@@ -324,9 +339,9 @@ def reversal_parts(mover: Mover, layout: SampleLayout) -> list[Part]:
     if sum(map(len, turns)) == 0:
         return []
     near_s = (
-        min(criteria.NEAR_REVERSAL_S, criteria.PART_OF_STROKE * float(np.median(strokes)))
+        min(_NEAR_REVERSAL_S, _PART_OF_STROKE * float(np.median(strokes)))
         if strokes.size
-        else criteria.NEAR_REVERSAL_S
+        else _NEAR_REVERSAL_S
     )
     masks = []
     for one, piece in zip(turns, layout.pieces, strict=True):

@@ -9,9 +9,29 @@ from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
 from labrun.estimate import significant
-from labrun.gap import criteria
 from labrun.gap.where.difference import ConditionData, Difference, Mover
 from labrun.gap.where.parts import Part, SampleLayout, plain
+
+_FEWEST_CYCLES = 1.5
+"""Cycles of a period that a trial must hold before it is one."""
+_FEWEST_CYCLE_SAMPLES = 16
+"""Samples of a trial in which a cycle is looked for."""
+_STATED_PERIOD_FIT = 0.7
+"""Part of a signal's variance that a stated period must explain before it is believed to be this signal's."""
+_FOUND_PERIOD_FIT = 0.8
+"""Part of the second half's variance that a period found in the data must predict from the first half."""
+_OSCILLATES = 0.6
+"""Part of the cycles' samples in which a site must move the way its fundamental does, for its strokes to be named."""
+_FEWEST_SPECTRUM_SAMPLES = 32
+_UNEVEN_STEPS = 0.05
+"""Shorter trials, and those whose steps differ by more than this part, have no spectrum."""
+_AT_DRIVE = (0.7, 1.4)
+"""Frequencies, in units of the drive's, that count as the drive's."""
+_LAST_HARMONIC = 10.5
+"""Frequencies up to this many times the drive's count as its harmonics."""
+_BANDS = 5
+_SLOWEST_CYCLES = 1.5
+"""Bands of trials without a cycle, and how many cycles of the first band's end a trial holds."""
 
 FREQUENCY_KEYS = ("frequency_hz", "freq_hz", "f_hz", "frequency", "freq", "f")
 PERIOD_KEYS = ("period_s", "period")
@@ -54,15 +74,15 @@ def find_cycle(
     signals : (n,) each
         In the order of trust: what drives the trial, then what moves.
     """
-    if len(time_s) < criteria.FEWEST_CYCLE_SAMPLES:
+    if len(time_s) < _FEWEST_CYCLE_SAMPLES:
         return None
     duration = float(time_s[-1] - time_s[0])
     moving = [one for one in signals if np.ptp(one) > 0]
     for stated in _stated(condition):
-        if criteria.FEWEST_CYCLES * stated > duration or stated < 4.0 * duration / len(time_s):
+        if _FEWEST_CYCLES * stated > duration or stated < 4.0 * duration / len(time_s):
             continue
         for signal in moving:
-            if _explained(time_s, signal, stated) >= criteria.STATED_PERIOD_FIT:
+            if _explained(time_s, signal, stated) >= _STATED_PERIOD_FIT:
                 return Cycle(stated, _begin(time_s, signal, stated))
     for signal in moving:
         period = _period(time_s, signal)
@@ -113,7 +133,7 @@ def _period(time_s: FloatArray, signal: FloatArray) -> float | None:
     power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values)), padded)) ** 2
     frequency = np.fft.rfftfreq(padded, even[1] - even[0])
     duration = float(even[-1] - even[0])
-    possible = (frequency >= criteria.FEWEST_CYCLES / duration) & (frequency <= 0.25 / (even[1] - even[0]))
+    possible = (frequency >= _FEWEST_CYCLES / duration) & (frequency <= 0.25 / (even[1] - even[0]))
     if not np.any(possible) or power.max() <= 0:
         return None
     top = float(frequency[possible][np.argmax(power[possible])])
@@ -127,7 +147,7 @@ def _period(time_s: FloatArray, signal: FloatArray) -> float | None:
     half = len(even) // 2
     predicted = _design(even[half:], period) @ _series(even[:half], values[:half], period)
     error = float(np.mean(np.square(values[half:] - predicted)))
-    return period if error <= (1 - criteria.FOUND_PERIOD_FIT) * float(np.var(values[half:])) else None
+    return period if error <= (1 - _FOUND_PERIOD_FIT) * float(np.var(values[half:])) else None
 
 
 _QUARTERS = ("first", "second", "third", "last")
@@ -156,7 +176,7 @@ def stroke_parts(layout: SampleLayout, cycles: Sequence[Cycle | None], movers: S
     mover = movers[0]
     rises = [np.asarray(rate > 0) for rate in mover.rate]
     share = float(np.mean(np.concatenate(rises)))
-    if not 1 - criteria.OSCILLATES < share < criteria.OSCILLATES + 0.2:
+    if not 1 - _OSCILLATES < share < _OSCILLATES + 0.2:
         return []
     name = plain(mover.name)
     members = layout.samples(rises)
@@ -226,10 +246,10 @@ class Spectra:
 
 
 def _even(piece: ConditionData) -> bool:
-    if piece.length < criteria.FEWEST_SPECTRUM_SAMPLES:
+    if piece.length < _FEWEST_SPECTRUM_SAMPLES:
         return False
     steps = np.diff(piece.time_s)
-    return bool(np.max(np.abs(steps - steps.mean())) <= criteria.UNEVEN_STEPS * steps.mean())
+    return bool(np.max(np.abs(steps - steps.mean())) <= _UNEVEN_STEPS * steps.mean())
 
 
 def band_parts(
@@ -257,10 +277,10 @@ def _about_drive(spectra: Spectra, drives: Sequence[float], what: str) -> list[P
     low, high = min(drives), max(drives)
     drive = _hz(low) if high < 1.01 * low else f"{_span(low, high)}"
     bands = (
-        ("below the drive", f"frequencies below the {what}'s ({drive})", 0.0, criteria.AT_DRIVE[0]),
-        ("at the drive", f"the {what}'s frequency ({drive})", *criteria.AT_DRIVE),
-        ("harmonics", f"the harmonics of the {what} ({drive})", criteria.AT_DRIVE[1], criteria.LAST_HARMONIC),
-        ("above", f"frequencies above the {what}'s tenth harmonic ({drive})", criteria.LAST_HARMONIC, np.inf),
+        ("below the drive", f"frequencies below the {what}'s ({drive})", 0.0, _AT_DRIVE[0]),
+        ("at the drive", f"the {what}'s frequency ({drive})", *_AT_DRIVE),
+        ("harmonics", f"the harmonics of the {what} ({drive})", _AT_DRIVE[1], _LAST_HARMONIC),
+        ("above", f"frequencies above the {what}'s tenth harmonic ({drive})", _LAST_HARMONIC, np.inf),
     )
     parts = []
     for at, text, begin, end in bands:
@@ -285,11 +305,11 @@ def _absolute(spectra: Spectra, simulated: Sequence[FloatArray]) -> list[Part]:
     order = np.argsort(frequency)
     total = np.cumsum(power[order])
     reach = frequency[order][np.searchsorted(total, 0.99 * total[-1])] if total[-1] > 0 else 0.1 * nyquist
-    lowest = criteria.SLOWEST_CYCLES / duration
+    lowest = _SLOWEST_CYCLES / duration
     highest = min(max(3.0 * float(reach), 8.0 * lowest), 0.9 * nyquist)
     if highest <= lowest:
         return []
-    inner = np.geomspace(lowest, highest, criteria.BANDS - 1)
+    inner = np.geomspace(lowest, highest, _BANDS - 1)
     edges = [0.0, *inner, np.inf]
     parts = []
     for begin, end in pairwise(edges):

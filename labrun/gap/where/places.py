@@ -24,6 +24,16 @@ from labrun.gap.where.parts import (
 from labrun.gap.where.periods import Spectra, band_parts, piece_cycles, quarter_parts, stroke_parts
 from labrun.gap.where.significance import Finding, weigh
 
+_CONDITIONS_HOLD = 0.75
+"""Conditions are named until they hold this part of what all of them hold."""
+_MAINLY = 0.6
+_NOTABLE = 0.4
+"""Share from which a half of the data, and a smaller part, is worth a sentence."""
+_SPECIAL = 1.3
+"""How many times its part of the data a condition or stroke must hold to be named."""
+_SIMPLER_TO_SAY = 1.3
+"""How much more a value of one key says than as many conditions named one by one."""
+
 Note = Callable[[str], None]
 
 
@@ -181,7 +191,7 @@ def describe(places: Sequence[Place], conditions: Sequence[str] = ()) -> str:
         return "No part of the data stands out from the noise."
     clauses = [*_cut(beyond, places, conditions), *_conditions(beyond, conditions)]
     best = max(
-        (one for one in clauses if one.lift >= criteria.SPECIAL),
+        (one for one in clauses if one.lift >= _SPECIAL),
         key=lambda one: one.share * one.lift,
         default=None,
     )
@@ -189,7 +199,7 @@ def describe(places: Sequence[Place], conditions: Sequence[str] = ()) -> str:
         (one for one in beyond if one.by in _OTHER and _simple(one) and one.share >= _least(one)), None
     )
     words = []
-    if best is not None and best.share >= criteria.NOTABLE:
+    if best is not None and best.share >= _NOTABLE:
         words.append(f"{_percent(best.share)} of it is {best.text}")
     elif plain is not None:
         words.append(f"{_percent(plain.share)} of it is {_in(plain)}")
@@ -197,7 +207,7 @@ def describe(places: Sequence[Place], conditions: Sequence[str] = ()) -> str:
         words.append("it is spread over all conditions and phases")
     channels = [one for one in places if one.by == "channel"]
     top = max(channels, key=lambda one: one.share, default=None)
-    if top is not None and len(channels) > 1 and top.share >= criteria.MAINLY and top.text not in words[0]:
+    if top is not None and len(channels) > 1 and top.share >= _MAINLY and top.text not in words[0]:
         words.append(f"mostly in {top.text}")
     sentence = ", ".join(words)
     return sentence[0].upper() + sentence[1:] + "."
@@ -217,7 +227,7 @@ def _cut(beyond: Sequence[Place], places: Sequence[Place], conditions: Sequence[
     for one in beyond:
         members = _members(one.at.partition(JOINT)[2], conditions)
         if JOINT in one.at and members > 1:
-            lift = criteria.SIMPLER_TO_SAY * one.share * len(heads) * len(conditions) / members
+            lift = _SIMPLER_TO_SAY * one.share * len(heads) * len(conditions) / members
             found.append(_Clause(one.share, f"in {one.text}", lift))
     return found
 
@@ -235,7 +245,7 @@ def _conditions(beyond: Sequence[Place], conditions: Sequence[str]) -> list[_Cla
         members = _members(one.at, conditions)
         if members:
             found.append(
-                _Clause(one.share, one.text, criteria.SIMPLER_TO_SAY * one.share * len(conditions) / members)
+                _Clause(one.share, one.text, _SIMPLER_TO_SAY * one.share * len(conditions) / members)
             )
     cells = [one for one in places if one.at in conditions]
     clause = _fewest(cells, len(conditions)) if cells else None
@@ -249,7 +259,7 @@ def _fewest(cells: Sequence[Place], number: int) -> _Clause:
     ordered = sorted(cells, key=lambda one: -one.share)
     whole, share, chosen = sum(one.share for one in cells), 0.0, []
     for one in ordered:
-        if share >= criteria.CONDITIONS_HOLD * whole and one.share < 0.5 * ordered[0].share:
+        if share >= _CONDITIONS_HOLD * whole and one.share < 0.5 * ordered[0].share:
             break
         chosen.append(one)
         share += one.share
@@ -266,9 +276,7 @@ def _in(place: Place) -> str:
 def _least(place: Place) -> float:
     """Return the share from which a part is worth a sentence: more for halves of the data than for smaller parts."""
     return (
-        criteria.MAINLY
-        if place.at.endswith("stroke") or place.at.startswith(("rising ", "falling "))
-        else criteria.NOTABLE
+        _MAINLY if place.at.endswith("stroke") or place.at.startswith(("rising ", "falling ")) else _NOTABLE
     )
 
 
