@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from labrun.blind.jobs import Files, fingerprint
+from labrun.blind.jobs import Files
 from labrun.errors import LabrunError, RequestError
 from labrun.fit import Note
 from labrun.store import replace_durably
@@ -82,15 +82,26 @@ class CheckFolder:
         """Return the model file of a case."""
         return (self.path / "cases" / case / _MODEL).read_bytes()
 
-    def said(self, case: str) -> dict[str, Any] | None:
-        """Return what was said of a case; None if nothing was yet, or by other code than is here now."""
-        found = _read(self.path / "diagnoses" / f"{case}.json")
-        return found if found is not None and found.get("programme") == fingerprint() else None
+    def reply(self, case: str, programme: str, tool: str = "") -> dict[str, Any] | None:
+        """Return the kept reply to a case; None if there is none yet, or by other code than `programme`.
 
-    def keep_said(self, case: str, said: Mapping[str, Any]) -> None:
-        """Keep what was said of a case; what its fresh trials showed of an earlier diagnosis goes."""
-        (self.path / "shrinkage" / f"{case}.json").unlink(missing_ok=True)
-        _write(self.path / "diagnoses" / f"{case}.json", said)
+        Parameters
+        ----------
+        tool
+            Name of the tool that replied; labrun itself if "".
+        """
+        kept = _read(self._reply_path(case, tool))
+        return kept if kept is not None and kept.get("programme") == programme else None
+
+    def keep_reply(self, case: str, reply: Mapping[str, Any], tool: str = "") -> None:
+        """Keep the reply to a case; what its fresh trials showed of an earlier diagnosis of labrun goes."""
+        if not tool:
+            (self.path / "shrinkage" / f"{case}.json").unlink(missing_ok=True)
+        _write(self._reply_path(case, tool), reply)
+
+    def _reply_path(self, case: str, tool: str) -> Path:
+        folder = self.path / "tools" / tool if tool else self.path / "diagnoses"
+        return folder / f"{case}.json"
 
     def shown(self, case: str) -> dict[str, Any] | None:
         """Return what the fresh trials of a case showed; None if they were not looked at yet."""

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from labrun.blind.check_folder import CheckFolder, kept_when_interrupted, open_answers, prepare
-from labrun.blind.jobs import diagnose_case, shrink_case
-from labrun.blind.judging import ANNOUNCING, KINDS, Judged, Said, Shown, Truth, judge
+from labrun.blind.jobs import diagnose_case, fingerprint, shrink_case
+from labrun.blind.judging import Judged, Reply, Shown, judge
 from labrun.blind.scoring import Scores, score
+from labrun.blind.tool import LIMIT_S, Tool, ask_tool, tools_of
+from labrun.blind.truth import KINDS, Truth
 from labrun.errors import RequestError
 from labrun.fit import Note, silent
 from labrun.toml import suggest
@@ -19,8 +21,38 @@ from labrun.workers import Pool, cores, pool, spread
 
 FIRST_REPORTED_SEED = 1000
 """Seeds below are for development; those from here on are for figures that are reported."""
+LABRUN = "labrun"
 _STREAM = 30313
 """Keeps seeds of diagnoses apart from those of the cases."""
+
+Job = tuple[str, Callable[..., dict[str, Any]], tuple[Any, ...]]
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Every case as one program answered it, and the scores.
+
+    Attributes
+    ----------
+    name
+        "labrun", or that of a tool.
+    command
+        Of a tool, as words; empty for labrun.
+    """
+
+    name: str
+    command: tuple[str, ...]
+    judged: tuple[Judged, ...]
+    scores: Scores
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it JSON-ready."""
+        return {
+            "name": self.name,
+            "command": list(self.command),
+            "figures": self.scores.to_json(),
+            "cases": [_case(judged) for judged in self.judged],
+        }
 
 
 @dataclass(frozen=True)
@@ -36,9 +68,9 @@ class Checked:
     folder
         Where cases, diagnoses, answers and scores are.
     programmes
-        Fingerprints of the code that diagnosed; more than one where workers differ.
-    judged
-        Every case, in order.
+        Fingerprints of labrun's code that diagnosed; more than one where workers differ.
+    labrun, tools
+        Scores of labrun, and of every other program on the same cases.
     """
 
     seed: int
@@ -46,8 +78,18 @@ class Checked:
     seal: str
     folder: Path
     programmes: tuple[str, ...]
-    judged: tuple[Judged, ...]
-    scores: Scores
+    labrun: Scored
+    tools: tuple[Scored, ...] = ()
+
+    @property
+    def judged(self) -> tuple[Judged, ...]:
+        """Every case as labrun answered it, in order."""
+        return self.labrun.judged
+
+    @property
+    def scores(self) -> Scores:
+        """The scores of labrun."""
+        return self.labrun.scores
 
     @property
     def development(self) -> bool:
@@ -76,7 +118,8 @@ class Checked:
             "seal_holds": True,
             "programmes": list(self.programmes),
             "figures": self.scores.to_json(),
-            "cases": [_case(one) for one in self.judged],
+            "cases": [_case(judged) for judged in self.judged],
+            "tools": [tool.to_json() for tool in self.tools],
         }
 
 
@@ -91,6 +134,8 @@ def check(
     cluster: str | None = None,
     generator: Path | None = None,
     out: Path | None = None,
+    tools: Sequence[str] = (),
+    tool_limit_s: float | None = None,
     note: Note = silent,
     announce: Callable[[str], None] | None = None,
 ) -> Checked:
@@ -120,6 +165,11 @@ def check(
         Folder of the code that makes the cases; that which comes with labrun if None.
     out
         Folder for cases and results; below ``gap-check`` in the working directory if None.
+    tools
+        Commands of other programs that are asked about the same cases: the folder of a case is added to each as its
+        last argument, and it prints an `labrun.blind.Answer` as JSON.
+    tool_limit_s
+        Wall time that such a program may take for one case; 120 s if None.
     note
         Told what is being done.
     announce
@@ -128,12 +178,18 @@ def check(
     Raises
     ------
     RequestError
-        No such generator, no cluster, no such kind of case, or a folder that holds something else.
+        No such generator, tool, cluster or kind of case, or a folder that holds something else.
     LabrunError
         The generator failed, a worker died, the seal is broken, or Ctrl-C.
     """
     workers = workers or cores()
     only = only if only is None else kind_named(only)
+    asked_tools = tools_of(tools, LIMIT_S if tool_limit_s is None else tool_limit_s)
+    if asked_tools and cluster is not None:
+        raise RequestError(
+            "--tool runs a program of this machine, which the workers of a cluster do not have",
+            hint="leave out --cluster; diagnoses that the cluster made are kept in the folder",
+        )
     folder = CheckFolder(out or _default_folder(cases, seed, first, only, data))
     with kept_when_interrupted(folder, "diagnosis"):
         line = prepare(
@@ -157,21 +213,35 @@ def check(
             said = _diagnosed(folder, seed, there, note)
             note("simulating the corrected models on fresh trials")
             shown = _shown(folder, seed, said, there)
+            replies = {tool: _asked(folder, tool, there, note) for tool in asked_tools}
     note("opening the seal")
     truths = [Truth.from_json(answer) for answer in open_answers(folder.path, printed)]
     _as_asked(truths, seed, only, folder.path)
     judged = tuple(
         judge(
             truth,
-            Said.from_json(truth.case, said[truth.case]),
+            Reply.of_labrun(said[truth.case]),
             Shown.from_json(shown[truth.case]) if truth.case in shown else None,
         )
         for truth in truths
     )
-    programmes = tuple(sorted({str(one["programme"]) for one in said.values()}))
-    result = Checked(seed, only, printed, folder.path, programmes, judged, score(judged))
+    programmes = tuple(sorted({str(diagnosis["programme"]) for diagnosis in said.values()}))
+    result = Checked(
+        seed,
+        only,
+        printed,
+        folder.path,
+        programmes,
+        Scored(LABRUN, (), judged, score(judged)),
+        tuple(_scored(tool, truths, replies[tool]) for tool in asked_tools),
+    )
     folder.keep_scores(result.to_json())
     return result
+
+
+def _scored(tool: Tool, truths: Sequence[Truth], replies: Mapping[str, Mapping[str, Any]]) -> Scored:
+    judged = tuple(judge(truth, Reply.of_tool(replies[truth.case])) for truth in truths)
+    return Scored(tool.name, tool.command, judged, score(judged))
 
 
 def kind_named(only: str) -> str:
@@ -187,11 +257,12 @@ def case_seed(seed: int, case: str) -> int:
     return int(np.random.SeedSequence([seed, _STREAM, number]).generate_state(1)[0])
 
 
-def _case(one: Judged) -> dict[str, Any]:
-    truth, said, shown = one.truth, one.said, one.shown
+def _case(judged: Judged) -> dict[str, Any]:
+    truth, reply, shown = judged.truth, judged.reply, judged.shown
     return {
         "case": truth.case,
-        "outcome": one.outcome,
+        "outcome": judged.outcome,
+        "false_causes": judged.false_causes,
         "kind": truth.kind,
         "bench": truth.bench,
         "gap": truth.gap,
@@ -199,61 +270,71 @@ def _case(one: Judged) -> dict[str, Any]:
         "repeats": truth.repeats,
         "noise": truth.noise,
         "zeros_by_trial": truth.zeros,
-        "hidden": [asdict(cause) for cause in truth.causes],
+        "hidden": [cause.model_dump() for cause in truth.causes],
         "forms": list(truth.forms),
-        "verdict": said.verdict,
-        "named": [
-            {
-                **asdict(named.top),
-                "confidence": named.confidence,
-                "indistinguishable_from": [asdict(rival) for rival in named.rivals],
-            }
-            for named in said.announced
-        ],
-        "predicted_shrinkage": None
-        if said.shrinkage is None
-        else {"value": said.shrinkage.value, "ci90": [said.shrinkage.low, said.shrinkage.high]},
-        "true_shrinkage": None if shown is None else asdict(shown),
-        "error": said.error,
-        "seconds": said.seconds,
+        "answer": None if reply.answer is None else reply.answer.model_dump(mode="json"),
+        "no_answer": reply.reason,
+        "predicted_share": None
+        if reply.predicted is None
+        else {"value": reply.predicted.value, "ci90": [reply.predicted.low, reply.predicted.high]},
+        "true_share": None if shown is None else asdict(shown),
+        "processor_s": reply.processor_s,
     }
 
 
 def _diagnosed(folder: CheckFolder, seed: int, there: Pool, note: Note) -> dict[str, dict[str, Any]]:
-    """Return what was said of every case; cases that were diagnosed before are not diagnosed again."""
+    """Return labrun's diagnosis of every case; cases that were diagnosed before are not diagnosed again."""
     names = folder.cases()
-    kept = {name: said for name in names if (said := folder.said(name)) is not None}
-    missing = [name for name in names if name not in kept]
-    said = dict(kept)
+    replies = {name: kept for name in names if (kept := folder.reply(name, fingerprint())) is not None}
+    missing = [name for name in names if name not in replies]
 
-    def jobs() -> Iterator[tuple[str, Callable[..., dict[str, Any]], tuple[Any, ...]]]:
+    def jobs() -> Iterator[Job]:
         for name in missing:
             yield name, diagnose_case, (name, folder.seen(name), case_seed(seed, name))
 
-    note(f"diagnosing: {len(kept)} of {len(names)} there")
-    for name, found in spread(there, jobs()):
-        folder.keep_said(name, found)
-        said[name] = found
-        note(f"diagnosing: {len(said)} of {len(names)} there, {name} {found.get('verdict', 'failed')}")
-    return {name: said[name] for name in names}
+    note(f"diagnosing: {len(replies)} of {len(names)} there")
+    for name, diagnosis in spread(there, jobs()):
+        folder.keep_reply(name, diagnosis)
+        replies[name] = diagnosis
+        note(f"diagnosing: {len(replies)} of {len(names)} there, {name} {diagnosis.get('verdict', 'failed')}")
+    return {name: replies[name] for name in names}
+
+
+def _asked(folder: CheckFolder, tool: Tool, there: Pool, note: Note) -> dict[str, dict[str, Any]]:
+    """Return what a tool printed for every case; it is not asked again about cases that it has answered."""
+    names, programme = folder.cases(), tool.fingerprint
+    replies = {name: kept for name in names if (kept := folder.reply(name, programme, tool.name)) is not None}
+    missing = [name for name in names if name not in replies]
+
+    def jobs() -> Iterator[Job]:
+        for name in missing:
+            yield name, ask_tool, (tool, name, folder.seen(name))
+
+    note(f"{tool.name}: {len(replies)} of {len(names)} there")
+    for name, printed in spread(there, jobs()):
+        replies[name] = {**printed, "programme": programme}
+        folder.keep_reply(name, replies[name], tool.name)
+        note(f"{tool.name}: {len(replies)} of {len(names)} there, {name} {printed.get('error', 'answered')}")
+    return {name: replies[name] for name in names}
 
 
 def _shown(
     folder: CheckFolder, seed: int, said: Mapping[str, Mapping[str, Any]], there: Pool
 ) -> dict[str, dict[str, Any]]:
-    """Return what fresh trials showed of every case in which a cause was announced."""
-    announced = [name for name, one in said.items() if one.get("verdict") in ANNOUNCING and one["causes"]]
-    shown = {name: found for name in announced if (found := folder.shown(name)) is not None}
-    missing = [name for name in announced if name not in shown]
+    """Return what fresh trials showed of every case in which labrun claims a cause."""
+    replies = {name: Reply.of_labrun(diagnosis) for name, diagnosis in said.items()}
+    claimed = [name for name, reply in replies.items() if reply.answer is not None and reply.answer.causes]
+    shown = {name: kept for name in claimed if (kept := folder.shown(name)) is not None}
+    missing = [name for name in claimed if name not in shown]
 
-    def jobs() -> Iterator[tuple[str, Callable[..., dict[str, Any]], tuple[Any, ...]]]:
+    def jobs() -> Iterator[Job]:
         for name in missing:
             arguments = (name, folder.fresh(name), folder.model(name), said[name], case_seed(seed, name))
             yield name, shrink_case, arguments
 
-    for name, found in spread(there, jobs()):
-        folder.keep_shown(name, found)
-        shown[name] = found
+    for name, share in spread(there, jobs()):
+        folder.keep_shown(name, share)
+        shown[name] = share
     return shown
 
 

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from labrun.blind.answer import Answer
 from labrun.blind.check_folder import CheckFolder, kept_when_interrupted, open_answers, prepare, seal_of
 from labrun.blind.diagnosis_check import FIRST_REPORTED_SEED, case_seed
 from labrun.blind.jobs import fingerprint
-from labrun.blind.judging import whole_set
 from labrun.fit import Note, load_dataset, silent
 from labrun.gap import Options, diagnose_robot
+from labrun.json_numbers import finite
 from labrun.models import load_model, read_robot
 from labrun.workers import cores
 
@@ -147,7 +148,7 @@ def check_robots(
 
 def _said(folder: CheckFolder, name: str, seed: int, workers: int, note: Note) -> Mapping[str, Any]:
     """Return what is said of a robot, joint by joint; what was said before by the same code is not said again."""
-    kept = folder.said(name)
+    kept = folder.reply(name, fingerprint())
     if kept is not None:
         return kept
     begun = time.perf_counter()
@@ -168,14 +169,16 @@ def _said(folder: CheckFolder, name: str, seed: int, workers: int, note: Note) -
         for one in found.joints
     }
     told = {"programme": fingerprint(), "joints": joints, "seconds": time.perf_counter() - begun}
-    folder.keep_said(name, told)
+    folder.keep_reply(name, told)
     return told
 
 
-def _sets(said: Mapping[str, Any]) -> list[list[str]]:
+def _sets(printed: Mapping[str, Any]) -> list[list[str]]:
+    """Return the causes that a diagnosis claims, each with its rivals."""
+    answer = Answer.of_diagnosis(finite(printed))
     return [
-        [f"{one.effect} at {one.site}" for one in whole_set(cause, said["candidates"])]
-        for cause in said["causes"]
+        [f"{member.effect} at {member.site or 'model'}" for member in cause.members]
+        for cause in answer.causes
     ]
 
 

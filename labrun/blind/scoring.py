@@ -1,4 +1,4 @@
-"""Score a whole check: shares by strength, confusion, false alarms, calibration, shrinkage."""
+"""Score a whole check: shares by strength, false causes, sizes, calibration, predicted shares, processor time."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from labrun.blind.judging import KINDS, STRENGTHS, Judged, held, sizes_held
+from labrun.blind.judging import Judged, is_held, sizes_held
+from labrun.blind.truth import KINDS, STRENGTHS
 
 _TENTHS = 10
 
@@ -111,18 +112,18 @@ ByStrength = Mapping[str, Share]
 
 
 @dataclass(frozen=True, slots=True)
-class ShrinkageScore:
-    """Predicted against true shrinkage.
+class ShareScore:
+    """Predicted against true shares of the excess that the causes remove.
 
     Attributes
     ----------
     differences
-        Predicted less true share of the excess removed, case by case.
+        Predicted less true share, case by case.
     covered
         How many true shares lie in their 90 % interval.
     too_small
         Cases left out because their fresh excess is lost in the noise; `failed` those that could not be computed;
-        `unpredicted` those in which a cause was announced without saying how much it removes.
+        `unpredicted` those in which a cause is claimed without a predicted share.
     """
 
     differences: Mapping[str, float]
@@ -132,171 +133,175 @@ class ShrinkageScore:
     unpredicted: int
 
     @property
+    def predicted(self) -> int:
+        """How many cases have a predicted share."""
+        return self.covered.of + self.too_small + self.failed
+
+    @property
     def median_difference(self) -> float | None:
         """Median of the absolute differences."""
         return median(map(abs, self.differences.values())) if self.differences else None
 
+    def to_json(self) -> dict[str, Any]:
+        """Return it JSON-ready."""
+        return {
+            "median_difference": self.median_difference,
+            "covered_by_ci90": self.covered.to_json(),
+            "differences": dict(self.differences),
+            "excess_too_small": self.too_small,
+            "not_computed": self.failed,
+            "not_predicted": self.unpredicted,
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Figures of a check.
+    """Figures of a check, of one program.
 
     Attributes
     ----------
     kinds : kind -> count
         How many cases of each kind there are; kinds without any are left out.
     named : strength -> share
-        Single hidden effects that were named, alone or in a set of at most two, the effect alone counting; `sites` the
-        share of those at the right site.
-    pairs : strength -> outcome -> count
-        Two hidden effects: both, one or none of them named.
-    pair_sites
-        Right sites among the members of pairs that were named.
+        Single hidden effects that a set of at most two claimed causes holds at their site.
+    sites
+        Hidden effects, also those of pairs, named at their site, of those named at any site.
+    pairs : strength -> share
+        Two hidden effects of which both were named; `pairs_in_part` those of which one was.
     parameters
         Parameters far off that were named.
     set_sizes : size -> count
-        Of all announced causes.
-    confusion : what it is -> what was said -> count
-    false_alarms
-        Controls in which an effect was blamed, of those that were diagnosed; `control_claims` counts every verdict.
-    recognised : strength -> share
-        Of those outside of the library: called so. `recognised_from_half`: of those of at least half a unit.
-    wrongly_unknown
-        Of all others that were diagnosed: called outside of the library.
-    extra
-        Cases with more effects announced than there are.
+        Of all claimed causes with their rivals.
+    controls_blamed
+        Controls in which a cause was claimed, of those that were answered; `controls_with_gap` those in which a gap
+        was reported without a cause.
+    outside : strength -> share
+        Of those outside of the library: no cause was claimed that closes less than half of the gap, or the rest was
+        told as unexplained. `outside_from_half`: of those of at least half a unit.
+    rest_told
+        Of those outside of the library of at least half a unit: the rest was told as unexplained.
+    false_causes
+        Claimed causes that are none, in all cases that were answered; see `Judged`.
     calibration
-        Confidence of every announced cause against whether it, or its first rival, was a true one, site included. Of
-        one kind of case alone it says nothing about the confidence, which is one over all kinds.
+        Stated confidence of every claimed cause against whether it, or its first rival, was a true one, site included.
+    shares
+        Predicted and true shares of the excess that the causes remove.
     sizes_covered
-        Sizes of announced causes that are true ones: how many are within their 95 % interval.
+        Sizes of claimed causes that are true ones: how many are within their 95 % interval.
     by_data : kind of data -> share
-        Cases that came out as one would wish, by repeats, noise and what differs by trial.
-    errors
-        Cases that were not diagnosed.
+        Cases that came out right, by repeats, noise and what differs by trial.
+    processor_s : "median", "longest" -> seconds
+    unanswered : case -> reason
     """
 
     cases: int
     kinds: Mapping[str, int]
     named: ByStrength
     sites: Share
-    pairs: Mapping[str, Mapping[str, int]]
-    pair_sites: Share
+    pairs: ByStrength
+    pairs_in_part: int
     parameters: Share
     set_sizes: Mapping[int, int]
-    confusion: Mapping[str, Mapping[str, int]]
-    false_alarms: Share
-    control_claims: Mapping[str, int]
-    recognised: ByStrength
-    recognised_from_half: Share
-    wrongly_unknown: Share
-    extra: Share
+    controls_blamed: Share
+    controls_with_gap: Share
+    outside: ByStrength
+    outside_from_half: Share
+    rest_told: Share
+    false_causes: int
     calibration: Reliability
-    shrinkage: ShrinkageScore
+    shares: ShareScore
     sizes_covered: Share
     by_data: ByStrength
-    seconds: Mapping[str, float]
-    errors: Sequence[str]
+    processor_s: Mapping[str, float]
+    unanswered: Mapping[str, str]
+
+    @property
+    def false_causes_per_case(self) -> float | None:
+        """Mean number of false causes of the cases that were answered; None if none was."""
+        answered = self.cases - len(self.unanswered)
+        return self.false_causes / answered if answered else None
 
     def to_json(self) -> dict[str, Any]:
         """Return them JSON-ready."""
-        difference = self.shrinkage
         return {
             "cases": self.cases,
             "kinds": dict(self.kinds),
             "named": _shares(self.named),
             "site_right": self.sites.to_json(),
-            "pairs": {
-                "by_strength": {strength: dict(count) for strength, count in self.pairs.items()},
-                "site_right": self.pair_sites.to_json(),
-            },
+            "pairs_named": _shares(self.pairs),
+            "pairs_named_in_part": self.pairs_in_part,
             "parameter_named": self.parameters.to_json(),
             "set_sizes": {str(size): count for size, count in self.set_sizes.items()},
-            "confusion": {true: dict(said) for true, said in self.confusion.items()},
-            "false_alarms": self.false_alarms.to_json(),
-            "controls": dict(self.control_claims),
-            "not_in_library": {
-                "recognised": _shares(self.recognised),
-                "recognised_from_0.5": self.recognised_from_half.to_json(),
-                "wrongly_claimed": self.wrongly_unknown.to_json(),
+            "controls_blamed": self.controls_blamed.to_json(),
+            "controls_with_gap": self.controls_with_gap.to_json(),
+            "outside": {
+                "right": _shares(self.outside),
+                "right_from_0.5": self.outside_from_half.to_json(),
+                "rest_told_from_0.5": self.rest_told.to_json(),
             },
-            "more_effects_than_there_are": self.extra.to_json(),
+            "false_causes": self.false_causes,
+            "false_causes_per_case": self.false_causes_per_case,
             "calibration": self.calibration.to_json(),
-            "shrinkage": {
-                "median_difference": difference.median_difference,
-                "covered_by_ci90": difference.covered.to_json(),
-                "differences": dict(difference.differences),
-                "excess_too_small": difference.too_small,
-                "not_computed": difference.failed,
-                "not_predicted": difference.unpredicted,
-            },
+            "shares": self.shares.to_json(),
             "sizes_covered_by_ci95": self.sizes_covered.to_json(),
             "by_data": _shares(self.by_data),
-            "seconds": dict(self.seconds),
-            "errors": list(self.errors),
+            "processor_s": dict(self.processor_s),
+            "no_answer": dict(self.unanswered),
         }
 
 
 def score(judged: Sequence[Judged]) -> Scores:
     """Score cases that were judged one by one."""
-    of_kind = {kind: [one for one in judged if one.truth.kind == kind] for kind in KINDS}
+    of_kind = {kind: [case for case in judged if case.truth.kind == kind] for kind in KINDS}
     singles, pairs, outside = of_kind["effect"], of_kind["pair"], of_kind["outside"]
-    controls, parameters = of_kind["control"], of_kind["parameter"]
-    # a case that raised had no occasion for a false claim: it must not make them look rarer
-    spoken = [one for one in judged if one.truth.kind != "outside" and not one.said.error]
-    announced = [(named, one.truth) for one in judged for named in one.said.announced]
+    # A case without an answer had no occasion for a false cause: it must not make them look rarer.
+    answered = [case for case in judged if case.reply.answer is not None]
+    controls = [case for case in answered if case.truth.kind == "control"]
+    plainly_outside = [case for case in outside if case.truth.strength != STRENGTHS[0]]
+    claimed = [(cause, case.truth) for case in judged for cause in case.causes]
     return Scores(
         cases=len(judged),
-        kinds={kind: len(those) for kind, those in of_kind.items() if those},
-        named=_by_strength(singles, lambda one: one.found == 1),
-        sites=Share(sum(one.sites for one in singles), sum(one.found for one in singles)),
-        pairs={
-            strength: dict(
-                sorted(Counter(one.outcome for one in pairs if one.truth.strength == strength).items())
-            )
-            for strength in STRENGTHS
-            if any(one.truth.strength == strength for one in pairs)
-        },
-        pair_sites=Share(sum(one.sites for one in pairs), sum(one.found for one in pairs)),
-        parameters=Share.among(one.found == 1 for one in parameters),
-        set_sizes=dict(sorted(Counter(len(named.members) for named, _ in announced).items())),
-        confusion=confusion(judged),
-        false_alarms=Share.among(one.outcome == "false-alarm" for one in controls if not one.said.error),
-        control_claims=dict(sorted(Counter(one.said.verdict for one in controls).items())),
-        recognised=_by_strength(outside, lambda one: one.outcome == "recognised"),
-        recognised_from_half=Share.among(
-            one.outcome == "recognised" for one in outside if one.truth.strength != STRENGTHS[0]
+        kinds={kind: len(cases) for kind, cases in of_kind.items() if cases},
+        named=_by_strength(singles, lambda case: case.outcome == "named"),
+        sites=Share(
+            sum(case.named for case in (*singles, *pairs)), sum(case.effects for case in (*singles, *pairs))
         ),
-        wrongly_unknown=Share.among(one.said.verdict == "not-in-library" for one in spoken),
-        extra=Share.among(one.extra > 0 for one in spoken),
-        calibration=reliability([(named.confidence, held(named, truth)) for named, truth in announced]),
-        shrinkage=shrinkage_score(judged),
-        sizes_covered=Share.among(inside for one in judged for inside in sizes_held(one)),
+        pairs=_by_strength(pairs, lambda case: case.outcome == "both-named"),
+        pairs_in_part=sum(case.outcome == "one-named" for case in pairs),
+        parameters=Share.among(case.outcome == "named" for case in of_kind["parameter"]),
+        set_sizes=dict(sorted(Counter(len(cause.members) for cause, _ in claimed).items())),
+        controls_blamed=Share.among(case.outcome == "false-alarm" for case in controls),
+        controls_with_gap=Share.among(case.outcome == "gap-reported" for case in controls),
+        outside=_by_strength(outside, _is_right_outside),
+        outside_from_half=Share.among(map(_is_right_outside, plainly_outside)),
+        rest_told=Share.among(case.outcome == "rest-told" for case in plainly_outside),
+        false_causes=sum(case.false_causes for case in answered),
+        calibration=reliability(
+            [
+                (cause.confidence, is_held(cause, truth))
+                for cause, truth in claimed
+                if cause.confidence is not None
+            ]
+        ),
+        shares=share_score(judged),
+        sizes_covered=Share.among(inside for case in judged for inside in sizes_held(case)),
         by_data={
-            data: Share.among(one.good for one in judged if data in one.truth.data)
-            for data in sorted({data for one in judged for data in one.truth.data})
+            data: Share.among(case.right for case in judged if data in case.truth.data)
+            for data in sorted({data for case in judged for data in case.truth.data})
         },
-        seconds=_durations([one.said.seconds for one in judged if not one.said.error]),
-        errors=[one.truth.case for one in judged if one.said.error],
+        processor_s=_durations([case.reply.processor_s for case in answered]),
+        unanswered={case.truth.case: case.reply.reason for case in judged if case.reply.answer is None},
     )
 
 
-def confusion(judged: Sequence[Judged]) -> dict[str, dict[str, int]]:
-    """Count what was said of what: an effect for each id (the first that is announced), a verdict where none was."""
-    table: dict[str, Counter[str]] = {}
-    for one in judged:
-        table.setdefault(_true_name(one), Counter())[_said_name(one)] += 1
-    return {true: dict(sorted(table[true].items())) for true in sorted(table)}
-
-
-def shrinkage_score(judged: Sequence[Judged]) -> ShrinkageScore:
-    """Compare predicted and true shrinkage of all cases in which a cause was announced."""
+def share_score(judged: Sequence[Judged]) -> ShareScore:
+    """Compare predicted and true shares of all cases in which a cause is claimed."""
     differences: dict[str, float] = {}
     covered: list[bool] = []
     too_small = failed = unpredicted = 0
-    for one in judged:
-        predicted, shown = one.said.shrinkage, one.shown
-        if not one.said.announced:
+    for case in judged:
+        predicted, shown = case.reply.predicted, case.shown
+        if not case.causes:
             continue
         if predicted is None:
             unpredicted += 1
@@ -305,9 +310,9 @@ def shrinkage_score(judged: Sequence[Judged]) -> ShrinkageScore:
         elif not shown.counted:
             too_small += 1
         else:
-            differences[one.truth.case] = predicted.value - shown.value
+            differences[case.truth.case] = predicted.value - shown.value
             covered.append(predicted.low <= shown.value <= predicted.high)
-    return ShrinkageScore(differences, Share.among(covered), too_small, failed, unpredicted)
+    return ShareScore(differences, Share.among(covered), too_small, failed, unpredicted)
 
 
 def reliability(stated: Sequence[tuple[float, bool]]) -> Reliability:
@@ -332,41 +337,19 @@ def reliability(stated: Sequence[tuple[float, bool]]) -> Reliability:
     )
 
 
+def _is_right_outside(case: Judged) -> bool:
+    return case.outcome in ("rest-told", "not-blamed")
+
+
 def _by_strength(judged: Sequence[Judged], hit: Callable[[Judged], bool]) -> dict[str, Share]:
     return {
-        strength: Share.among(hit(one) for one in judged if one.truth.strength == strength)
+        strength: Share.among(hit(case) for case in judged if case.truth.strength == strength)
         for strength in STRENGTHS
     }
 
 
-def _true_name(one: Judged) -> str:
-    truth = one.truth
-    if truth.kind in ("control", "outside"):
-        return f"({truth.kind})"
-    if truth.kind == "parameter":
-        return "(parameter)"
-    return " + ".join(sorted(cause.effect for cause in truth.causes))
-
-
-def _said_name(one: Judged) -> str:
-    if one.said.error:
-        return "(error)"
-    announced = one.said.announced
-    if not announced:
-        return (
-            f"({one.said.verdict}, no cause)" if one.said.verdict == "parameter" else f"({one.said.verdict})"
-        )
-    names = ["(parameter)" if named.top.kind == "parameter" else named.top.effect for named in announced]
-    return " + ".join(sorted(names)) if one.truth.kind == "pair" else names[0]
-
-
 def _durations(seconds: Sequence[float]) -> dict[str, float]:
-    if not seconds:
-        return {}
-    ordered = sorted(seconds)
-    # the nearest rank: a time that was really taken
-    ninetieth = ordered[max(0, -(-9 * len(ordered) // 10) - 1)]
-    return {"median": median(ordered), "of_nine_in_ten_at_most": ninetieth, "longest": ordered[-1]}
+    return {"median": median(seconds), "longest": max(seconds)} if seconds else {}
 
 
 def _shares(shares: ByStrength) -> dict[str, Any]:

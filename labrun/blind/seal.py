@@ -17,6 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from labrun.blind.answer import Answer, CauseName
 from labrun.errors import RecordingError
 from labrun.store import PROVENANCE, RunFolder, replace_durably, saving
 
@@ -194,6 +195,11 @@ class Hidden:
     values: Mapping[str, float]
     units: Mapping[str, str]
 
+    @property
+    def name(self) -> CauseName:
+        """What is scored: the effect at its site, or the parameter."""
+        return CauseName(effect=self.effect, site="" if self.kind == PARAMETER else self.site)
+
     def __str__(self) -> str:
         values = ", ".join(
             f"{name} = {value:.4g}{'' if self.units.get(name, '1') == '1' else ' ' + self.units[name]}"
@@ -322,29 +328,23 @@ def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
     Two are told of effects that these data cannot tell apart. A third one that stands in the list of candidates as
     explaining them as well is right in part.
     """
-    truth = {(one.effect, one.site) for one in hidden}
-    named, sets = [], []
-    for cause in stored.get("causes", []):
-        name = (cause["effect"], cause["site"])
-        together = {name, *((one["effect"], one["site"]) for one in cause["indistinguishable_from"])}
-        if cause["kind"] == "effect" or together & truth:
-            named.append(name)
-            sets.append(together)
+    truth = {item.name for item in hidden}
+    answer = Answer.of_diagnosis(stored)
+    causes = [cause for cause in answer.causes if cause.site or not truth.isdisjoint(cause.members)]
     if not truth:
-        return "false alarm" if named or stored["verdict"] == "unexplained" else "right"
-    if not named:
-        unseen = all(_too_small(one, stored.get("candidates", [])) for one in hidden)
+        return "false alarm" if causes else "right"
+    if not causes:
+        unseen = all(_too_small(item, stored.get("candidates", [])) for item in hidden)
         return "too small to be seen" if unseen else "missed"
-    found = {one for one in truth if any(one in together for together in sets)}
-    useless = [together for together in sets if not together & truth]
-    if found == truth and not useless:
-        return "right" if truth == set(named) else "right, in a stated set"
+    named = truth & {member for cause in causes for member in cause.members}
+    if named == truth and all(not truth.isdisjoint(cause.members) for cause in causes):
+        return "right" if truth == {cause.name for cause in causes} else "right, in a stated set"
     as_well = {
-        (one["effect"], one["site"])
-        for one in stored.get("candidates", [])
-        if one["verdict"] == "rival"
+        CauseName.of_diagnosis(candidate)
+        for candidate in stored.get("candidates", [])
+        if candidate["verdict"] == "rival"
     }
-    return "right in part" if found or truth & as_well else "wrong"
+    return "right in part" if named or truth & as_well else "wrong"
 
 
 def _too_small(one: Hidden, candidates: Sequence[Mapping[str, Any]]) -> bool:
@@ -367,12 +367,42 @@ def _hidden(one: Mapping[str, Any]) -> Hidden:
     return Hidden(one["effect"], one["site"], one["kind"], values, dict(one.get("units", {})))
 
 
-def _inside(one: Hidden, cause: Mapping[str, Any]) -> list[str]:
-    found = []
-    for name, value in one.values.items():
+def _inside(hidden: Hidden, cause: Mapping[str, Any]) -> list[str]:
+    factor = _to_reference_of(hidden, cause)
+    sentences = []
+    for name, value in hidden.values.items():
         low, high = cause["values"].get(name, {}).get("ci95", (None, None))
-        if low is not None and high is not None:
-            where = "inside" if low <= value <= high else "outside"
-            told = name.replace("_", " ")
-            found.append(f"the hidden {told} lies {where} the 95 % interval that was stated")
-    return found
+        if low is None or high is None:
+            continue
+        scaled = value / factor if name == "coefficient" else value
+        where = "inside" if low <= scaled <= high else "outside"
+        at = "" if factor == 1.0 or name != "coefficient" else ", at the same reference,"
+        sentences.append(
+            f"the hidden {name.replace('_', ' ')}{at} lies {where} the 95 % interval that was stated"
+        )
+    return sentences
+
+
+def _to_reference_of(hidden: Hidden, cause: Mapping[str, Any]) -> float:
+    """Return the factor from a coefficient at the cause's reference to the same law's at the hidden reference.
+
+    A law ``c x^n (x / reference)^(exponent - n)`` has another coefficient at another reference wherever its exponent is
+    not the usual n. 1 where either has no reference.
+    """
+    from labrun.effects import effects
+
+    stated = {name: number["value"] for name, number in cause.get("refers_to", {}).items()}
+    stated |= {name: number["value"] for name, number in cause["values"].items()}
+    if not all("reference" in values for values in (hidden.values, stated)):
+        return 1.0
+    library = [effect for effect in effects() if effect.id == hidden.effect]
+    usual = [
+        item.starts[0]
+        for effect in library
+        for item in effect.parameters
+        if item.name == "exponent" and item.held
+    ]
+    exponent = hidden.values.get("exponent", stated.get("exponent"))
+    if not usual or exponent is None:
+        return 1.0
+    return float((hidden.values["reference"] / stated["reference"]) ** (exponent - usual[0]))

@@ -29,6 +29,18 @@ def check(
             "pink), zeros, no-zeros; repeatable.",
         ),
     ] = None,
+    tool: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="COMMAND",
+            help="Score another program on the same cases, beside labrun: it gets the folder of a case as its last "
+            "argument and prints JSON with gap, causes and rest; repeatable.",
+        ),
+    ] = None,
+    tool_limit_s: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Time that a tool may take for one case; 120 if not given."),
+    ] = None,
     workers: options.Workers = None,
     cluster: options.Cluster = None,
     generator: Annotated[
@@ -45,9 +57,13 @@ def check(
     The answers are sealed first: their salted hash is printed before anything is diagnosed. Every case is listed.
 
     Example:  labrun gap check --cases 20 --seed 7
+
+    Example:  labrun gap check --cases 20 --seed 7 --tool "python my_method.py"
     """
     if only is not None and only.removesuffix("s") == "robot":
-        _check_robots(cases, seed, workers, out, as_json=as_json, other=bool(data or cluster or generator))
+        _check_robots(
+            cases, seed, workers, out, as_json=as_json, other=bool(data or cluster or generator or tool)
+        )
         return
     with reported(as_json):
         from labrun.blind import check as check_cases
@@ -63,6 +79,8 @@ def check(
                 cluster=cluster,
                 generator=generator,
                 out=out,
+                tools=tool or (),
+                tool_limit_s=tool_limit_s,
                 note=note,
             )
         write_check_page(result)
@@ -77,7 +95,7 @@ def _check_robots(
         from labrun.errors import RequestError
 
         if other:
-            raise RequestError("--data, --cluster and --generator are not for --only robots")
+            raise RequestError("--data, --tool, --cluster and --generator are not for --only robots")
         with status() as note:
             result = check_robots(cases=cases, seed=seed, workers=workers, out=out, note=note)
         print_result(result, as_json)

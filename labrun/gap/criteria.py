@@ -28,9 +28,9 @@ FORMS_TRIED = 2
 """Candidates nearest to the best one whose other forms (shapes, fewer levels) are fitted."""
 EXCHANGES = 3
 """Times that every cause is compared again with all others in its place."""
-MOST_FOLDS = 5
+MOST_FOLDS = 8
 """Conditions are left out one at a time, or in this many groups where there are more."""
-WITHHELD_BLOCKS = 5
+WITHHELD_BLOCKS = 8
 """Blocks of time that are left out, one at a time, of a single condition."""
 LEAST_INFORMATION = 0.12
 """Part of the information about a size that a fold must have to fit it; else the size stays as it was."""
@@ -81,7 +81,7 @@ LARGE_REMAINDER = 3.0
 
 # --- Screening ---
 
-WORTH_BESIDE_BEST = 0.03
+WORTH_BESIDE_BEST = 0.1
 """Part of what the best survey promises that makes a candidate worth a fit."""
 ALWAYS_FITTED = 3
 """Candidates that are fitted in any case, the most promising ones."""

@@ -69,8 +69,11 @@ def near_best(errors: FloatArray, strata: IntArray) -> IntArray:
     return np.array([row for row in order if row == order[0] or not beats(best, errors[row], strata)])
 
 
-def leader(errors: FloatArray, complexity: Sequence[tuple[int, ...]], strata: IntArray) -> int:
+def leader(errors: FloatArray, complexity: Sequence[tuple[int, int]], strata: IntArray) -> int:
     """Return the row that leads: the simplest of those that the best one does not beat (rule 2).
+
+    Of several with as few parameters, the most common in practice leads among those that predict as well to within the
+    practical margin.
 
     Parameters
     ----------
@@ -79,7 +82,13 @@ def leader(errors: FloatArray, complexity: Sequence[tuple[int, ...]], strata: In
     complexity
         Of each candidate: number of parameters, then how uncommon it is in practice.
     """
-    return int(min(near_best(errors, strata), key=lambda row: (complexity[row], float(np.mean(errors[row])))))
+    near = near_best(errors, strata)
+    fewest = min(complexity[row][0] for row in near)
+    simplest = [int(row) for row in near if complexity[row][0] == fewest]
+    means = {row: float(np.mean(errors[row])) for row in simplest}
+    least = min(means.values())
+    alike = [row for row in simplest if means[row] <= least + criteria.MARGIN]
+    return min(alike, key=lambda row: (complexity[row][1], means[row]))
 
 
 def resamples(strata: IntArray, count: int, rng: np.random.Generator) -> IntArray:
@@ -94,7 +103,7 @@ def resamples(strata: IntArray, count: int, rng: np.random.Generator) -> IntArra
 def win_frequencies(
     base: FloatArray,
     errors: FloatArray,
-    complexity: Sequence[tuple[int, ...]],
+    complexity: Sequence[tuple[int, int]],
     strata: IntArray,
     drawn: IntArray,
 ) -> FloatArray:

@@ -201,12 +201,17 @@ def values_of(
 def reference_values(
     problem: Problem, z: FloatArray, index: int, model: Model, dataset: Dataset
 ) -> dict[str, tuple[float, str]]:
-    """Return what the sizes of the effect at `index` refer to, with units: its parameters that were held."""
+    """Return what the sizes of the effect at `index` refer to, with units: its held parameters but for zeros.
+
+    A shape that is held at zero is that of another form, which is not used.
+    """
     attached = problem.attached(problem.parameters(z))[index]
     units = effect_units(attached, model, dataset)
     pairs = zip(attached.effect.parameters, attached.values, strict=True)
     return {
-        parameter.name: (float(value), units[parameter.name]) for parameter, value in pairs if parameter.held
+        parameter.name: (float(value), units[parameter.name])
+        for parameter, value in pairs
+        if parameter.held and value != 0.0
     }
 
 

@@ -86,6 +86,25 @@ def _share(
     return float(np.clip(1.0 - min(left) / total, 0.0, 1.0))
 
 
+def predictable_share(features: Sequence[FloatArray], values: Sequence[FloatArray]) -> float:
+    """Return the share of squared values (n,) of each trial that its features (n, p) predict where withheld, 0 to 1.
+
+    Trials are withheld one at a time; of a single trial, pieces of time.
+    """
+    if len(features) > 1:
+        groups = [np.full(len(part), float(index)) for index, part in enumerate(features)]
+    else:
+        groups = [np.floor(_LEARNED_PIECES * np.arange(len(part)) / len(part)) for part in features]
+    inside, wanted = np.concatenate(features), np.concatenate(values)[:, None]
+    stride = max(1, len(wanted) // _MOST_LEARNED)
+    inside, wanted, group = inside[::stride], wanted[::stride], np.concatenate(groups)[::stride]
+    total = float(np.sum(np.square(wanted)))
+    if total == 0.0 or not np.any(np.std(inside, axis=0) > 0.0):
+        return 0.0
+    left = [np.sum(np.square(wanted - part)) for part in _predictions(_neurons(inside), wanted, group)]
+    return float(np.clip(1.0 - min(left) / total, 0.0, 1.0))
+
+
 def _neurons(inside: FloatArray) -> FloatArray:
     """Return standardised signals (n, p), and neurons of several steepnesses that look at a few of them each."""
     rng = np.random.default_rng(0)

@@ -30,6 +30,7 @@ from labrun.gap.recalibration import (
     fitted_in_own_units,
     in_noise,
     recalibrate,
+    replaced_terms,
     settled_in_own_units,
     unit_remarks,
     unsearched,
@@ -101,6 +102,7 @@ class Search:
         left_out = [] if first is None else [one.name for one in self.candidates if one.name not in tried]
         return (
             *bound_remarks(problem, self.recalibration.z),
+            *replaced_terms(problem, self.recalibration.z, final.z),
             *untried(problem.model, self.withhold),
             *not_withheld(final.problem, final.z, final.nuisance.jacobian),
             *(f"effect {name} gives no finite numbers at any size: it was not tried" for name in left_out),

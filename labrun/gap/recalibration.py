@@ -48,6 +48,9 @@ _INTEGRATION_ERROR = 1.0
 _MOST_SUBSTEPS = 64
 """Steps of the integrator per sample beyond which they are not halved again."""
 
+_REPLACED = 0.1
+"""Part of its size up to which a term of the model counts as replaced by a cause."""
+
 Held = TypeVar("Held", bound=Problem)
 
 
@@ -328,6 +331,27 @@ def bound_remarks(problem: Problem, z: FloatArray) -> tuple[str, ...]:
                 "as far as its statement is believed"
             )
     return tuple(found)
+
+
+def replaced_terms(problem: Problem, z: FloatArray, corrected: FloatArray) -> tuple[str, ...]:
+    """Return a sentence for every free parameter of the model that the causes leave nearly nothing of.
+
+    Parameters
+    ----------
+    z, corrected
+        Variables without and with the causes; the model's own parameters come first in both.
+    """
+    sentences, priors = [], problem.priors
+    for variable, index in enumerate(priors.free):
+        if index >= len(problem.model.parameters) or np.isfinite(priors.sigma[variable]):
+            continue
+        before, after = (float(values[variable]) * float(priors.scale[variable]) for values in (z, corrected))
+        if abs(after) < _REPLACED * abs(before):
+            sentences.append(
+                f"with the causes, {priors.names[variable]} falls from {significant(before)} to {significant(after)}: "
+                "that term of the model has the wrong law"
+            )
+    return tuple(sentences)
 
 
 def fresh_excess(

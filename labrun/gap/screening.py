@@ -2,10 +2,12 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.effects import FORCED
 from labrun.fit import Each, Jacobian, Problem, minimise, one_by_one
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, family
@@ -14,7 +16,7 @@ from labrun.gap.lines import line_starts
 from labrun.gap.nuisance import NuisanceProjection
 from labrun.gap.steps import in_steps_that_follow
 
-_STARTS_FOLLOWED = 3
+_STARTS_FOLLOWED = 2
 """Starts that are followed."""
 _STARTS_BESIDE_KNOWN = 1
 """Starts that are followed beside the sizes at which an earlier fit of the same candidate ended."""
@@ -22,6 +24,10 @@ _STARTS_ALIKE = 0.99
 """Starts whose changes of the residuals have at least this cosine lead to one end."""
 _REFIT_RENEWALS = 12
 """How often derivatives are taken at most in fits of candidates, and of what was chosen."""
+
+
+_REPLACING = 2.0
+"""Squares, in units of those of the base, that a start in the place of a term of the model may have."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +63,25 @@ class Base:
         squares = float(prior @ prior) + sum(float(part @ part) for part in residual)
         return cls(problem, z, residual, squares, NuisanceProjection(problem, z, residual), added, brisk)
 
+    @cached_property
+    def without_free_terms(self) -> list[tuple[FloatArray, list[FloatArray]]]:
+        """The variables with one free parameter of the model at zero, and the residuals there; one for each such term.
+
+        A free term of the wrong law stands in the way of an effect of the right one: together they have no way down.
+        """
+        priors, cases = self.problem.priors, []
+        for variable, index in enumerate(priors.free):
+            of_model = index < len(self.problem.model.parameters)
+            allowed = priors.lower[variable] <= 0.0 <= priors.upper[variable]
+            if not of_model or np.isfinite(priors.sigma[variable]) or not allowed or self.z[variable] == 0.0:
+                continue
+            z = self.z.copy()
+            z[variable] = 0.0
+            residual = self.problem.finite_residuals(z)
+            if residual is not None:
+                cases.append((z, residual))
+        return cases
+
     def sorted_as(self, candidates: Sequence[Candidate]) -> FloatArray:
         """Return the variables in the order of a problem to which the same candidates were added in another order."""
         start = self.problem.size - sum(candidate.variables for candidate in self.added)
@@ -86,6 +111,8 @@ class Survey:
         By how much the sum of squares would fall if one of the changes, in the best measure, were added.
     among
         How many starts that differ it was searched among, where they were read from the residual.
+    replacing
+        A start in the place of a free term of the model, which is zero there; None where no term could be replaced.
     """
 
     candidate: Candidate
@@ -95,6 +122,7 @@ class Survey:
     whole: FloatArray
     potential: float
     among: float = 1.0
+    replacing: FloatArray | None = None
 
     def different(self, most: int) -> list[FloatArray]:
         """Return the most promising starts that change the residuals in different ways.
@@ -187,15 +215,51 @@ def survey(base: Base, candidate: Candidate) -> Survey:
     directions = np.column_stack([change for *_, change, _ in rated]) if rated else np.empty((len(before), 0))
     norms = np.linalg.norm(directions, axis=0)
     along = np.divide(directions.T @ before, norms, out=np.zeros_like(norms), where=norms > 0)
+    potential = float(np.max(np.square(along), initial=0.0))
+    replacing = _replacing_a_term(base, candidate, problem) if rated else None
+    if replacing is not None:
+        potential = max(potential, base.squares - problem.squares(replacing))
     return Survey(
         candidate,
         problem,
         [z for _, _, z, _, _ in rated],
         directions,
         np.array([whole for *_, whole in rated]),
-        float(np.max(np.square(along), initial=0.0)),
+        potential,
         lines.among,
+        replacing,
     )
+
+
+def _replacing_a_term(base: Base, candidate: Candidate, problem: Problem) -> FloatArray | None:
+    """Return the best start of a force in the place of a free term of the model; None where none is promising.
+
+    The size of the force is the one whose change of the residuals best undoes that of leaving out the term.
+    """
+    attached = candidate.attached
+    if attached is None or attached.effect.kind not in FORCED:
+        return None
+    own, best, least = base.problem.own_states(base.z), None, _REPLACING * base.squares
+    start = np.array(candidate.starts[0])
+    fitted = [parameter for parameter in attached.effect.parameters if not parameter.held]
+    lower, upper = (np.array([getattr(item, end) for item in fitted]) for end in ("lower", "upper"))
+    scales = np.array([item.neutral == 0.0 for item in fitted])
+    for without, residual in base.without_free_terms:
+        shared = without[: base.problem.size]
+        added = problem.finite_residuals(np.concatenate([shared, start, own]))
+        if added is None:
+            continue
+        removed = np.concatenate(residual) - np.concatenate(base.residual)
+        change = np.concatenate(added) - np.concatenate(residual)
+        energy = float(change @ change)
+        if energy == 0.0:
+            continue
+        size = -float(change @ removed) / energy
+        sizes = np.clip(np.where(scales, size * start, start), lower, upper)
+        z = np.concatenate([shared, sizes, own])
+        if problem.finite_residuals(z) is not None and (squares := problem.squares(z)) < least:
+            best, least = z, squares
+    return best
 
 
 def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Screened:
@@ -210,6 +274,8 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     if known is not None:
         shared, own = base.z[: base.problem.size], base.problem.own_states(base.z)
         starts = [np.concatenate([shared, known, own]), *starts]
+    if surveyed.replacing is not None:
+        starts = [*starts, surveyed.replacing]
     # what the candidate is added to is fitted already: its derivatives do to see how far a start leads
     beside = base.nuisance.jacobian if surveyed.candidate.variables else None
     ends: list[tuple[float, Problem, FloatArray]] = []

@@ -320,12 +320,23 @@ class Selector:
             wins = decide.win_frequencies(
                 without.error.log, table, [entry.complexity for entry in entries], strata, self._drawn
             )
-            near = [int(row) for row in decide.near_best(table, strata) if row != 0]
+            near = [
+                int(row)
+                for row in decide.near_best(table, strata)
+                if row != 0 and not self._is_needless_form(best, entries[row], candidate)
+            ]
             confidence = float(wins[0] + (wins[near[0]] if near else 0.0))
             returns = self.closes(without.error, best.error)
             rivals = tuple(entries[row] for row in near)
             chosen.append(Chosen(candidate, rivals, without, closes, returns, confidence))
         return tuple(chosen), steps
+
+    def _is_needless_form(self, best: CauseSet, rival: CauseSet, cause: Candidate) -> bool:
+        """Tell whether a rival is a richer form of the cause itself that improves nothing in practice."""
+        other = rival.candidates[-1]
+        contained = () if other.attached is None else other.attached.effect.contains
+        is_richer = other.name.site == cause.name.site and cause.name.effect in contained
+        return is_richer and best.error.mean - rival.error.mean <= criteria.MARGIN
 
     def _ladder(self, best: CauseSet) -> tuple[CauseSet, ...]:
         """Return the reference and the sets that add, one after the other, the cause that closes most."""

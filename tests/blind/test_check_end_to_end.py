@@ -53,7 +53,7 @@ def interrupted(tmp_path_factory: pytest.TempPathFactory, told: list[str]) -> Pa
             child.join(10.0)
             assert not child.is_alive()
     (kept,) = (out / "diagnoses").iterdir()
-    kept.write_text(json.dumps({**json.loads(kept.read_text()), "seconds": KEPT_S}))
+    kept.write_text(json.dumps({**json.loads(kept.read_text()), "processor_s": KEPT_S}))
     return out
 
 
@@ -86,7 +86,7 @@ def silent(_: str) -> None:
 
 def without_seconds(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: without_seconds(item) for key, item in value.items() if key != "seconds"}
+        return {key: without_seconds(item) for key, item in value.items() if key != "processor_s"}
     return [without_seconds(item) for item in value] if isinstance(value, list) else value
 
 
@@ -100,25 +100,24 @@ def test_every_case_is_listed_with_what_was_hidden_and_what_was_said(checked: Ch
     assert [one["case"] for one in found["cases"]] == ["case-0033", "case-0034"]
     effect, control = found["cases"]
     assert (control["kind"], control["hidden"]) == ("control", [])
-    assert effect["hidden"] == [{"kind": "effect", "effect": "hysteresis", "site": "root"}]
-    assert {control["verdict"], effect["verdict"]} <= {
-        "no-gap", "parameter", "explained", "partly-explained", "not-in-library",
-    }  # fmt: skip
+    assert effect["hidden"] == [{"effect": "hysteresis", "site": "root"}]
+    assert control["answer"]["causes"] == []
+    assert effect["answer"]["gap"]
     page = write_check_page(checked).read_text()
     assert "hysteresis at root (static-fin)" in page
-    assert found["figures"]["errors"] == []
+    assert found["figures"]["no_answer"] == {}
 
 
 def test_what_a_screen_says_fits_one_and_names_the_use_of_the_seed(checked: Checked) -> None:
     text = check_text(checked)
     assert len(text.splitlines()) <= 40
-    assert max(map(len, text.splitlines()[1:-1])) <= 100
+    assert max(map(len, text.splitlines()[1:-1])) <= 110
     assert "seed 5 is one of development" in text
 
 
 def test_an_announced_cause_is_held_against_fresh_trials(checked: Checked) -> None:
     effect = checked.judged[0]
-    assert effect.said.announced
+    assert effect.causes
     assert effect.shown is not None
     assert effect.shown.error == ""
     assert effect.shown.value is not None
@@ -126,7 +125,7 @@ def test_an_announced_cause_is_held_against_fresh_trials(checked: Checked) -> No
 
 
 def test_an_interrupted_check_goes_on_with_what_was_diagnosed(checked: Checked) -> None:
-    assert [one.said.seconds == KEPT_S for one in checked.judged].count(True) == 1
+    assert [case.reply.processor_s == KEPT_S for case in checked.judged].count(True) == 1
 
 
 def test_any_number_of_processes_finds_the_same(checked: Checked, tmp_path: Path) -> None:
@@ -139,11 +138,11 @@ def test_any_number_of_processes_finds_the_same(checked: Checked, tmp_path: Path
 def test_a_diagnosis_by_other_code_is_not_taken_for_one_of_this(checked: Checked, tmp_path: Path) -> None:
     folder = copy_of(checked, tmp_path / "older", "diagnoses")
     path = folder / "diagnoses" / "case-0033.json"
-    said = {**json.loads(path.read_text()), "programme": fingerprint()}
-    path.write_text(json.dumps(said))
-    assert CheckFolder(folder).said("case-0033") == said
-    path.write_text(json.dumps({**said, "programme": "older"}))
-    assert CheckFolder(folder).said("case-0033") is None
+    reply = {**json.loads(path.read_text()), "programme": fingerprint()}
+    path.write_text(json.dumps(reply))
+    assert CheckFolder(folder).reply("case-0033", fingerprint()) == reply
+    path.write_text(json.dumps({**reply, "programme": "older"}))
+    assert CheckFolder(folder).reply("case-0033", fingerprint()) is None
 
 
 def test_an_answer_that_was_changed_is_found_and_nothing_is_scored(checked: Checked, tmp_path: Path) -> None:
@@ -163,16 +162,43 @@ def test_answers_sealed_anew_are_not_those_whose_seal_was_told(checked: Checked,
         check(**TWO_CASES, workers=1, out=folder, announce=silent)
 
 
-def test_a_case_that_cannot_be_diagnosed_is_listed_as_an_error(checked: Checked, tmp_path: Path) -> None:
+def test_a_case_that_cannot_be_diagnosed_is_listed_without_an_answer(
+    checked: Checked, tmp_path: Path
+) -> None:
     folder = copy_of(checked, tmp_path / "broken", "diagnoses", "shrinkage")
     (folder / "diagnoses" / "case-0034.json").unlink()
     trial = folder / "cases" / "case-0034" / "trial001.csv"
     trial.write_text(trial.read_text().replace("torque", "toque"))
-    found = check(**TWO_CASES, workers=1, out=folder, announce=silent)
-    assert found.scores.errors == ["case-0034"]
-    assert found.judged[1].outcome == "error"
-    assert "case-0034/trial001.csv" in found.judged[1].said.error
-    assert "labrun-check-" not in found.judged[1].said.error
+    again = check(**TWO_CASES, workers=1, out=folder, announce=silent)
+    (reason,) = again.scores.unanswered.values()
+    assert again.judged[1].outcome == "no-answer"
+    assert "case-0034/trial001.csv" in reason
+    assert "labrun-check-" not in reason
+
+
+def test_a_tool_is_scored_beside_labrun_and_is_asked_once(checked: Checked, tmp_path: Path) -> None:
+    folder = copy_of(checked, tmp_path / "with-a-tool", "diagnoses", "shrinkage")
+    log, script = tmp_path / "asked.txt", tmp_path / "knows_one_answer.py"
+    script.write_text(
+        "import json, sys\n"
+        f"open({str(log)!r}, 'a').write(sys.argv[-1][-9:] + ' ')\n"
+        "if sys.argv[-1].endswith('34'): sys.exit('lost')\n"
+        "print(json.dumps({'gap': True, 'causes': [{'effect': 'hysteresis', 'site': 'root'}]}))\n"
+    )
+    command = f"{sys.executable} {script}"
+    for _ in range(2):
+        again = check(**TWO_CASES, workers=1, out=folder, tools=[command], announce=silent)
+    assert log.read_text().split() == ["case-0033", "case-0034"]
+    assert without_seconds(again.labrun.to_json()) == without_seconds(checked.labrun.to_json())
+    (tool,) = again.tools
+    assert (tool.name, [case.outcome for case in tool.judged]) == ("knows_one_answer", ["named", "no-answer"])
+    assert tool.scores.unanswered == {"case-0034": "ended with exit code 1: lost"}
+    assert json.loads((folder / "check.json").read_text())["tools"][0]["figures"]["false_causes"] == 0
+
+
+def test_a_tool_does_not_run_on_a_cluster(checked: Checked) -> None:
+    with pytest.raises(RequestError, match="workers of a cluster do not have"):
+        check(**TWO_CASES, cluster="tcp://127.0.0.1:1", tools=["true"], out=checked.folder, announce=silent)
 
 
 def test_a_folder_of_another_check_is_refused(checked: Checked) -> None:

@@ -11,21 +11,29 @@ from typing import Any
 
 import pytest
 
-from labrun.blind import Checked, check
+from labrun.blind import Answer, Cause, CauseName, Checked, Scored, check
 from labrun.blind.check_folder import SHIPPED_GENERATOR, CheckFolder, prepare
 from labrun.blind.diagnosis_check import _diagnosed, kind_named
 from labrun.blind.jobs import fingerprint
-from labrun.blind.judging import KINDS, CauseName, Named, Said, Shown, Shrunk, Truth, judge
+from labrun.blind.judging import PredictedShare, Reply, judge
 from labrun.blind.robot_check import ROBOT
 from labrun.blind.scoring import score
+from labrun.blind.truth import KINDS, Truth
 from labrun.errors import LabrunError, RequestError
 from labrun.report.diagnosis_check import check_page, check_text
 from labrun.workers import Pool
 
 TWO_CONTROLS: dict[str, Any] = {"cases": 2, "seed": 42, "first": 4, "only": "control"}
 """A static fin and a payload arm: made within seconds."""
-LAG = CauseName("effect", "lag", "torque")
-FRICTION = CauseName("effect", "coulomb-friction", "hinge")
+LAG = CauseName(effect="lag", site="torque")
+FRICTION = CauseName(effect="coulomb-friction", site="hinge")
+NO_GAP = Reply(Answer(gap=False, causes=()), "", 1.0)
+CLAIMING = Reply(
+    Answer(gap=True, causes=(Cause(effect="lag", site="torque", confidence=0.9),), rest=0.1),
+    "",
+    1.0,
+    PredictedShare(0.9, 0.8, 1.0),
+)
 
 
 def silent(_: str) -> None:
@@ -38,21 +46,26 @@ def checked(tmp_path_factory: pytest.TempPathFactory) -> Checked:
     out = tmp_path_factory.mktemp("check") / "control-only"
     prepare(CheckFolder(out), **TWO_CONTROLS, workers=2, note=silent)
     for name in ("case-0004", "case-0005"):
-        quiet = {"verdict": "no-gap", "causes": [], "seconds": 1.0, "programme": fingerprint()}
-        CheckFolder(out).keep_said(name, quiet)
+        quiet = {"verdict": "no-gap", "causes": [], "processor_s": 1.0, "programme": fingerprint()}
+        CheckFolder(out).keep_reply(name, quiet)
     return check(**TWO_CONTROLS, workers=1, out=out, announce=silent)
 
 
-def of_kinds(*kinds: str, said: Said | None = None, folder: Path = Path("gap-check")) -> Checked:
-    """Return a check of hand-made cases of these kinds, all of them told the same."""
-    hidden = {"effect": (FRICTION,), "pair": (FRICTION, LAG), "parameter": (CauseName("parameter", "mass"),)}
-    said = said or Said("", "no-gap", (), None, 1.0)
-    judged = tuple(
-        judge(Truth(f"case-{number:04d}", kind, hidden.get(kind, ()), 2.0, "hinge-drive", 3, 1, ()), said)
+def of_kinds(*kinds: str, reply: Reply = NO_GAP, tools: tuple[Reply, ...] = ()) -> Checked:
+    """Return a check of hand-made cases of these kinds, all of them answered the same, also by `tools`."""
+    hidden = {"effect": (FRICTION,), "pair": (FRICTION, LAG), "parameter": (CauseName(effect="mass"),)}
+    truths = [
+        Truth(f"case-{number:04d}", kind, hidden.get(kind, ()), 2.0, "hinge-drive", 3, 1, ())
         for number, kind in enumerate(kinds, start=1)
-    )
+    ]
+
+    def scored(name: str, answered: Reply) -> Scored:
+        judged = tuple(judge(truth, answered) for truth in truths)
+        return Scored(name, (), judged, score(judged))
+
     only = kinds[0] if len(set(kinds)) == 1 else None
-    return Checked(1, only, "0" * 64, folder, ("code",), judged, score(judged))
+    others = tuple(scored(f"tool-{number}", tool) for number, tool in enumerate(tools, start=1))
+    return Checked(1, only, "0" * 64, Path("gap-check"), ("code",), scored("labrun", reply), others)
 
 
 def test_all_cases_are_of_that_kind_and_the_folder_remembers_it(checked: Checked) -> None:
@@ -63,14 +76,14 @@ def test_all_cases_are_of_that_kind_and_the_folder_remembers_it(checked: Checked
     assert json.loads((checked.folder / "asked.json").read_text())["only"] == "control"
     found = json.loads((checked.folder / "check.json").read_text())
     assert (found["only"], found["figures"]["kinds"]) == ("control", {"control": 2})
-    assert found["figures"]["false_alarms"]["of"] + len(found["figures"]["errors"]) == 2
+    assert found["figures"]["controls_blamed"]["of"] == 2
 
 
 def test_the_same_call_goes_on_where_it_was(checked: Checked) -> None:
     path = checked.folder / "diagnoses" / "case-0004.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "seconds": 12345.0}))
+    path.write_text(json.dumps({**json.loads(path.read_text()), "processor_s": 12345.0}))
     again = check(**{**TWO_CONTROLS, "only": "controls"}, workers=1, out=checked.folder, announce=silent)
-    assert again.judged[0].said.seconds == 12345.0
+    assert again.judged[0].reply.processor_s == 12345.0
     assert again.judged[1] == checked.judged[1]
 
 
@@ -114,7 +127,7 @@ class _Recording(Executor):
     def submit(self, job: Any, /, *arguments: Any, **_: Any) -> "Future[Any]":
         self.sent.append(pickle.dumps((job, arguments)))
         future: Future[Any] = Future()
-        future.set_result({"verdict": "no-gap", "causes": [], "seconds": 0.0})
+        future.set_result({"verdict": "no-gap", "causes": [], "processor_s": 0.0})
         return future
 
 
@@ -162,35 +175,36 @@ def test_a_kind_with_a_typo_is_told_the_nearest_before_anything_is_made(tmp_path
 
 
 WORDS = {
-    "control": "false alarms in controls",
-    "effect": "cause named, alone",
-    "pair": "pairs, 1 to 3",
-    "parameter": "parameter far off",
-    "outside": "recognised, by the true gap",
+    "control": "controls blamed",
+    "effect": "cause named, G",
+    "pair": "both of a pair named",
+    "parameter": "parameter far off named",
+    "outside": "outside right, G from 0.5",
 }
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("failed", [False, True])
 def test_what_is_said_of_one_kind_is_silent_about_the_others(kind: str, failed: bool) -> None:
-    said = Said.from_json("", {"error": "ValueError: no"}) if failed else None
-    found = of_kinds(kind, kind, kind, said=said)
-    text = check_text(found)
+    checked = of_kinds(kind, kind, kind, reply=Reply(None, "ValueError: no") if failed else NO_GAP)
+    text = check_text(checked)
     assert f"3 cases: 3 {kind}\n" in text
-    assert [other for other, words in WORDS.items() if words in text] == [kind]
+    expected = [] if failed and kind == "control" else [kind]
+    assert [other for other, words in WORDS.items() if words in text] == expected
     assert "\n\n\n" not in text
-    assert ("of confidence" in text, "shrinkage" in text) == (False, False)
-    page = check_page(found)
+    assert ("of confidence" in text, "shares in 90" in text) == (False, False)
+    page = check_page(checked)
     assert len([line for line in page.splitlines() if line.startswith("| 000")]) in (3, 6)
     assert "nan" not in page.lower()
-    assert json.dumps(found.to_json(), allow_nan=False)
-    if failed and kind != "outside":
-        assert "none was diagnosed" in text
+    assert json.dumps(checked.to_json(), allow_nan=False)
+    assert _row("no answer", text) == f"{3 if failed else 0} of 3"
 
 
 def test_an_error_of_confidence_is_told_of_mixed_kinds_only() -> None:
-    spoken = Said("", "explained", (Named(LAG, (), 0.9),), Shrunk(0.9, 0.8, 1.0), 1.0)
-    mixed, alone = of_kinds("control", "effect", said=spoken), of_kinds("control", "control", said=spoken)
+    mixed, alone = (
+        of_kinds("control", "effect", reply=CLAIMING),
+        of_kinds("control", "control", reply=CLAIMING),
+    )
     assert "error of confidence" in check_text(mixed)
     assert "error of confidence" not in check_text(alone)
     assert "shows only where kinds of cases are mixed" in check_page(alone)
@@ -198,20 +212,25 @@ def test_an_error_of_confidence_is_told_of_mixed_kinds_only() -> None:
 
 
 def test_a_rate_of_many_cases_is_told_to_a_tenth_of_a_percent() -> None:
-    quiet = of_kinds(*["control"] * 200)
-    assert "false alarms in controls   0 of 200: 0.0 % [0.0, 1.8]" in check_text(quiet)
+    row = _row("controls blamed", check_text(of_kinds(*["control"] * 200)))
+    assert row.startswith("0 of 200: 0.0 % [0.0, 1.8]")
 
 
-def test_what_lies_outside_has_one_share_over_all_that_is_worth_recognising() -> None:
-    gaps = (0.2, 0.6, 2.0, 9.0)
-    judged = [
-        judge(
-            Truth(f"case-{number:04d}", "outside", (), gap, "fin-decay", 3, 1, ()),
-            Said("", "not-in-library" if gap < 5.0 else "no-gap", (), None, 1.0),
-            Shown(None, False),
-        )
-        for number, gap in enumerate(gaps)
-    ]
-    found = score(judged)
-    assert (found.recognised_from_half.hits, found.recognised_from_half.of) == (2, 3)
-    assert found.to_json()["not_in_library"]["recognised_from_0.5"]["of"] == 3
+def test_a_tool_stands_beside_labrun_in_every_row_and_on_the_page() -> None:
+    checked = of_kinds(
+        "control", "effect", reply=NO_GAP, tools=(CLAIMING, Reply(None, "ended with exit code 1"))
+    )
+    text, page = check_text(checked), check_page(checked)
+    assert _row("", text).split() == ["labrun", "tool-1", "tool-2", "to", "reach"]
+    assert _row("false causes per case", text).split() == ["0.00", "1.00", "-"]
+    assert _row("no answer", text).split() == ["0", "of", "2", "0", "of", "2", "2", "of", "2"]
+    assert _row("controls blamed", text).split("  ")[0] == "0 of 1: 0 %"
+    assert "## tool-1" in page
+    assert page.count("ended with exit code 1") == 2
+    assert [tool["name"] for tool in checked.to_json()["tools"]] == ["tool-1", "tool-2"]
+
+
+def _row(label: str, text: str) -> str:
+    (table,) = (block for block in text.split("\n\n") if "to reach" in block)
+    lines = [line for line in table.splitlines() if line.startswith(f"{label}  ")]
+    return lines[0].removeprefix(label).strip()

@@ -80,3 +80,19 @@ def test_ctrl_c_says_that_nothing_was_written(command, lost, called, monkeypatch
     assert done.exit_code == 130
     assert json.loads(done.stdout)["error"] == f"interrupted; no {lost} was written"
     assert "moved" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--tool", "no-such-program"], "'no-such-program' does not exist"),
+        (["--tool", "true", "--tool-limit-s", "0"], "leaves a tool no time"),
+        (["--tool", "true", "--only", "robots"], "--tool"),
+        (["--tool", "true", "--cluster", "tcp://127.0.0.1:1"], "leave out --cluster"),
+    ],
+)
+def test_a_tool_that_cannot_be_asked_is_refused_before_cases_are_made(tmp_path, arguments, words):
+    done = typed("check", "--cases", 1, *arguments)
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert not list(tmp_path.iterdir())

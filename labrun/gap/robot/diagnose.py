@@ -59,18 +59,18 @@ def diagnose_robot(
     note("asking all joints together for a clock of the log")
     led = found.led(common_lead(found, np.random.default_rng(options.seed)))
     found = led if led.clock not in options.withhold else found
-    alone = replace(options, workers=1, places=False, brisk=True)
+    alone, deadline_s = replace(options, places=False, brisk=True), start + options.within_s
     every = range(len(robot.joints))
     # a process a joint: half of a diagnosis is Python, which threads would wait for in turn
     with nullcontext() if options.workers <= 1 else pool(min(options.workers, len(every)), None) as there:
         note("recalibrating every joint")
-        answers = _looked(found, every, replace(alone, least_gap=np.inf), there, note)
+        answers = _looked(found, every, replace(alone, least_gap=np.inf), there, note, deadline_s)
         lacking = [place for place, (_, answer) in enumerate(answers) if not _quiet(answer)]
         note("asking all joints together which links are not where their encoders say")
         links = links_that_explain(found, lacking, options.seed)
         for at in ([one for one in lacking if one not in links], *([one] for one in links)):
             around = found.with_links({other: by for other, by in links.items() if other not in at})
-            second = dict(zip(at, _looked(around, at, alone, there, note), strict=True))
+            second = dict(zip(at, _looked(around, at, alone, there, note, deadline_s), strict=True))
             answers = [second.get(number, one) for number, one in enumerate(answers)]
         found = found.with_links(links)
         tip, place = found.tip, found.tip.far_end
@@ -81,7 +81,7 @@ def diagnose_robot(
                 "looking again at joints that carry more, for a load where all joints together tell it to be"
             )
             moved = found.with_load_at(tip.torque(better))
-            second = dict(zip(hanging, _looked(moved, hanging, alone, there, note), strict=True))
+            second = dict(zip(hanging, _looked(moved, hanging, alone, there, note, deadline_s), strict=True))
             if _explained_by_load(answers, hanging) < _explained_by_load(second, hanging):
                 answers = [second.get(number, one) for number, one in enumerate(answers)]
                 found, place = moved, better
@@ -89,7 +89,9 @@ def diagnose_robot(
         again = _that_others_may_explain(answers, links) if whole else []
         if again:
             note("looking again at joints that say something else, with base and load as others tell them")
-            second = dict(zip(again, _looked(among(found, whole), again, alone, there, note), strict=True))
+            second = dict(
+                zip(again, _looked(among(found, whole), again, alone, there, note, deadline_s), strict=True)
+            )
             answers = _explained_by_others(answers, second)
     if found.lead_s:
         driven = [one.joint.name for one, _ in answers if found.drive(one.joint) is not None]
@@ -100,17 +102,26 @@ def diagnose_robot(
 
 
 def _looked(
-    found: Prescribed, places: Sequence[int], options: Options, there: Pool | None, note: Note
+    found: Prescribed,
+    places: Sequence[int],
+    options: Options,
+    there: Pool | None,
+    note: Note,
+    deadline_s: float,
 ) -> list[tuple[OneJoint, Diagnosis]]:
     """Diagnose joints, on processes if there are some; the answers are the same and come in the joints' order."""
     if not places:
         return []
     joints = {place: one_joint(found, place) for place in places}
+    # the time that is left is shared by the joints that wait for one another
+    left_s = max(deadline_s - time.perf_counter(), 0.0) * max(options.workers, 1) / len(places)
     drawn = found.redrawn(np.random.default_rng(options.seed))
     least = {place: _least_gap(one, one_joint(drawn, place)) for place, one in joints.items()}
     asked = {
         place: replace(
             options,
+            within_s=left_s,
+            workers=1,
             least_gap=max(options.least_gap, one),
             withhold=(*options.withhold, *(OF_A_TORQUE if joints[place].by_torque else ())),
         )

@@ -8,7 +8,9 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, Effect, EffectParameter, force_law
+from labrun.gap import criteria
 from labrun.gap.diagnosis import MissingForce
+from labrun.gap.learnable import predictable_share
 from labrun.gap.where.difference import Difference, force_unit, load_unit
 from labrun.gap.where.periods import find_cycle
 from labrun.gap.where.significance import NuisanceSubspace
@@ -157,15 +159,27 @@ def missing_forces(difference: Difference) -> tuple[MissingForce, ...]:
     with a weight that generalised cross-validation chooses; what recalibration can do is left to it. Coordinate, rate
     and load are those of the simulation with this force, which is closer to what was measured than that without.
 
-    `share` is told on the data the force was fitted to, less what it takes out of the noise: so free a force also
-    imitates what is no force at all, an error of an output for one. A site that no output sees is left out; so are
-    units of fewer than 16 samples. Beyond 80 units, some of every condition stand for all.
+    `share` is measured on the data the force was fitted to, less what it takes out of the noise: so free a force also
+    imitates what is no force at all, an error of an output for one. A force that motion and load do not predict in
+    withheld trials is left out; so is a site that no output sees, and units of fewer than 16 samples. Beyond 80 units,
+    some of every condition stand for all.
     """
     some = _subset(difference)
     if some is None or not some.model.sites:
         return ()
-    found = [_at(some, site, place) for place, site in enumerate(some.model.sites)]
-    return tuple(sorted((one for one in found if one is not None), key=lambda one: -one.share))
+    forces = [_at(some, site, place) for place, site in enumerate(some.model.sites)]
+    lawful = [force for force in forces if force is not None and _is_a_law(force)]
+    return tuple(sorted(lawful, key=lambda force: -force.share))
+
+
+def _is_a_law(missing: MissingForce) -> bool:
+    """Tell whether motion and load predict a missing force in trials, or pieces of time, that were withheld.
+
+    A force that differs from trial to trial at the same motion imitates something else.
+    """
+    columns = [missing.coordinate, missing.rate, *([missing.load] if missing.load else [])]
+    features = [np.column_stack(parts) for parts in zip(*columns, strict=True)]
+    return predictable_share(features, missing.force) >= criteria.DEPENDS
 
 
 def _subset(difference: Difference) -> Difference | None:
