@@ -82,8 +82,23 @@ def test_numbers_that_json_has_no_word_for_become_null(tmp_path):
 
 def test_the_object_of_the_contract_is_in_the_file(tmp_path):
     found = json.loads(store(examples.pair(), tmp_path, tmp_path, page=False).numbers.read_text())
-    assert {"verdict", "gap", "where", "causes", "candidates", "shrinkage", "seconds"} <= set(found)
-    assert found["causes"][1]["indistinguishable_from"][0]["effect"] == "delay"
+    assert {
+        "verdict",
+        "gap",
+        "ladder",
+        "causes",
+        "rest",
+        "candidates",
+        "shrinkage",
+        "complete",
+        "stopped",
+    } <= set(found)
+    lag = found["causes"][1]
+    assert lag["indistinguishable_from"][0]["effect"] == lag["rivals"][0]["effect"] == "delay"
+    assert lag["refers_to"] == {"order": {"value": 1.0, "unit": "1"}}
+    assert [rung["step"] for rung in found["ladder"]][:2] == ["as stated", "recalibrated"]
+    assert found["ladder"][-1]["errors"]["angle"]["unit"] == "rad"
+    assert found["rest"]["depends_on"] == ["speed of hinge"]
 
 
 def test_a_run_without_a_diagnosis_is_told_how_to_get_one(tmp_path):

@@ -50,7 +50,7 @@ def run_hiding(folder, *hidden, says):
         ([TRUTH], examples.explained, "right"),
         ([TRUTH], examples.no_gap, "missed"),
         ([TRUTH], examples.parameter, "missed"),
-        ([TRUTH], examples.not_in_library, "missed"),
+        ([TRUTH], examples.unexplained, "missed"),
         (
             [{**TRUTH, "effect": "backlash", "values": {"gap": 0.002}}],
             examples.no_gap,
@@ -62,7 +62,7 @@ def run_hiding(folder, *hidden, says):
         ([INERTIA], examples.explained, "wrong"),
         ([INERTIA], examples.no_gap, "missed"),
         ([], examples.explained, "false alarm"),
-        ([], examples.not_in_library, "false alarm"),
+        ([], examples.unexplained, "false alarm"),
         ([], examples.no_gap, "right"),
         ([], examples.parameter, "right"),
         ([{**TRUTH, "effect": "backlash"}], examples.explained, "wrong"),
@@ -82,7 +82,7 @@ def test_verdict_and_truth_are_compared_by_effect_and_site(tmp_path, hidden, say
 
 
 def test_a_third_that_explains_the_data_as_well_is_right_in_part(tmp_path):
-    as_well = RatedCandidate(Name("backlash", "hinge"), "indistinguishable", 0.97, 11.3)
+    as_well = RatedCandidate(Name("backlash", "hinge"), "rival", 0.97)
     says = replace(examples.explained(), candidates=(*examples.explained().candidates, as_well))
     hidden = {**TRUTH, "effect": "backlash", "values": {"gap": 0.004}}
     assert reveal(run_hiding(tmp_path / "run", hidden, says=says)).score == "right in part"

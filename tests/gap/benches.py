@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from labrun.effects import effects
 from labrun.fit.dataset import Dataset, FitTrial
+from labrun.gap import Options
 from labrun.models import Model, parse_model
 from labrun.store import SignalInfo
 
@@ -114,3 +116,9 @@ def logged(name: str, given: SignalInfo, seen: SignalInfo, trials: Sequence[FitT
 def dry_friction(torque: float) -> Force:
     """Return Coulomb friction, its sign smoothed."""
     return lambda t, q, v: -torque * float(np.tanh(v / 0.02))
+
+
+def among(*names: str) -> Options:
+    """Return options with these effects alone in the library, beside the parameters: a search of a second or two."""
+    others = {effect.id for effect in effects()} - set(names)
+    return Options(places=False, withhold=tuple(sorted(others)))

@@ -10,11 +10,14 @@ from labrun.fit import Dataset, OutputNoise
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name
-from labrun.gap.intervals import may_be_nothing, scatter
-from labrun.gap.recalibration import stated_problem
+from labrun.gap.evidence import Units
+from labrun.gap.held_out import mean_residuals
+from labrun.gap.intervals import scatter
+from labrun.gap.noise import from_repeats, from_residual
+from labrun.gap.recalibration import member_residuals, stated_problem
 from labrun.gap.screening import Base, refit
 
-from .benches import CONDITIONS, FloatArray, dry_friction, pendulum, recorded
+from .benches import CONDITIONS, dry_friction, pendulum, recorded
 
 NOISE = 0.004
 
@@ -34,11 +37,22 @@ def with_friction(data: Dataset, *, noise: float = NOISE, shapes: bool = False, 
     return Base.of(problem, z, (candidate,))
 
 
-def spread(base: Base, noise: float = 1.0) -> float:
-    """Return the standard deviation of the friction's size, white noise being drawn."""
-    rng = np.random.default_rng(2)
-    draws = [[noise * rng.standard_normal(one.shape) for one in base.residual] for _ in range(400)]
-    return float(np.std(scatter(base, draws)[:, base.problem.size - 1]))
+def spread(base: Base, *, known: bool = True) -> float:
+    """Return the standard deviation of the friction's size, N m; `known` is whether repeats tell the noise."""
+    problem, z = base.problem, base.z
+    members = member_residuals(problem, z)
+    noise = from_repeats(problem.data, members) if known else from_residual(problem.data, members)
+    assert noise is not None
+    units = Units.of(problem.data, mean_residuals(problem, z))
+    size = problem.size - 1
+    moved = scatter(base, noise, units, np.random.default_rng(2))[:, size]
+    return float(np.std(moved) * problem.priors.scale[size])
+
+
+def size_of(base: Base) -> float:
+    """Return the friction, N m."""
+    size = base.problem.size - 1
+    return float(base.z[size] * base.problem.priors.scale[size])
 
 
 @pytest.fixture(scope="module")
@@ -46,27 +60,29 @@ def same() -> Base:
     return with_friction(recorded(dry_friction(0.006), noise=NOISE))
 
 
-def test_a_size_that_is_another_one_in_each_condition_is_told_as_that_uncertain(same: Base) -> None:
+@pytest.mark.parametrize("known", [True, False])
+def test_a_size_that_is_another_one_in_each_condition_is_told_as_that_uncertain(
+    same: Base, known: bool
+) -> None:
     trials = []
     for place, condition in enumerate(CONDITIONS):
         part = recorded(dry_friction(0.004 if place % 2 else 0.008), noise=NOISE, conditions=[condition])
         trials += part.trials
     apart = with_friction(replace(recorded(), trials=tuple(trials)))
-    size = apart.problem.size - 1
-    scale: FloatArray = apart.problem.priors.scale
-    assert spread(apart) * scale[size] > 0.0007  # 2 mN m apart, five of them: 0.9 mN m
-    assert spread(apart) > 5.0 * spread(same)
+    assert spread(apart, known=known) > 0.0007  # 2 mN m apart, five of them: 0.9 mN m
+    assert spread(apart, known=known) > 3.0 * spread(same, known=known)
 
 
 def test_a_shape_that_is_held_leaves_its_size_as_open_as_the_data_do() -> None:
     noisy = recorded(dry_friction(0.006), noise=0.1)
     held, drawn = (with_friction(noisy, noise=0.1, rate=20.0, shapes=shapes) for shapes in (False, True))
-    assert spread(drawn, noise=0.0) > 1.3 * spread(held, noise=0.0)
+    assert spread(drawn) > 1.05 * spread(held)
 
 
-def test_a_size_that_noise_alone_would_make_may_be_nothing_and_one_that_is_there_may_not(same: Base) -> None:
+@pytest.mark.parametrize("known", [True, False])
+def test_the_interval_of_a_size_that_noise_alone_made_contains_zero_and_of_one_that_is_real_does_not(
+    same: Base, known: bool
+) -> None:
     without = with_friction(recorded(noise=NOISE))
-    for base, nothing in ((same, False), (without, True)):
-        rng = np.random.default_rng(3)
-        draws = [[rng.standard_normal(one.shape) for one in base.residual] for _ in range(200)]
-        assert (Name("coulomb-friction", "hinge") in may_be_nothing(base, scatter(base, draws))) is nothing
+    assert size_of(same) > 4.0 * spread(same, known=known)
+    assert size_of(without) < 2.0 * spread(without, known=known)

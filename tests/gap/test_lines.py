@@ -5,9 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from labrun.gap.noise_threshold import NoiseThreshold
 from scipy.integrate import solve_ivp
 
 from labrun.fit.dataset import Dataset, FitTrial
@@ -89,20 +86,6 @@ def looked_at(data: Dataset) -> tuple[Recalibrated, Candidate]:
     found = recalibrate(knob(), averaged(data, knob()), np.random.default_rng(0), lambda _: None)
     every = candidates(found.problem.model, site_scales(found.problem, found.z))
     return found, next(one for one in every if one.name.effect == "cogging")
-
-
-@given(
-    gain=st.floats(20.0, 900.0),
-    among=st.floats(1.0, 1e4),
-    squares=st.sampled_from([np.inf, 1e3, 1e6]),
-    dispersion=st.floats(1.0, 3.0),
-)
-def test_the_best_of_many_lines_adds_less_likelihood_by_the_logarithm_of_their_number(
-    gain: float, among: float, squares: float, dispersion: float
-) -> None:
-    threshold = NoiseThreshold(10.0, dispersion, squares=squares)
-    expected = max(threshold.log_likelihood(gain) - np.log(among), 0.0)
-    assert threshold.log_likelihood(threshold.less_luck(gain, among)) == pytest.approx(expected, abs=1e-6)
 
 
 def test_the_periods_over_many_turns_are_read_from_what_is_missing() -> None:

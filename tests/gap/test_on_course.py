@@ -100,4 +100,6 @@ def test_dry_friction_of_a_balanced_stick_is_found() -> None:
     low, high = found.causes[0].values["torque"].low, found.causes[0].values["torque"].high
     assert low < 0.02 < high
     assert found.causes[0].values["torque"].value == pytest.approx(0.02, rel=0.1)
-    assert found.learnable is None  # its simulated motion follows the noise, which would predict itself
+    assert (
+        found.rest.predictable is None
+    )  # its simulated motion follows the noise, which would predict itself

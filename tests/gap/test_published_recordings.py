@@ -17,7 +17,7 @@ def said(recording: Path) -> Diagnosis:
 
 def effects(cause: Cause) -> set[str]:
     """Return the effects a cause may be."""
-    return {cause.name.effect, *(one.effect for one in cause.indistinguishable_from)}
+    return {cause.name.effect, *(rival.effect for rival in cause.rivals)}
 
 
 def test_the_drive_has_the_published_dry_friction_and_an_offset(recordings: Path) -> None:
@@ -65,7 +65,7 @@ def test_the_servo_at_its_stop_has_one_end_only(recordings: Path) -> None:
 def test_the_servo_that_sticks_has_dry_friction_or_play(recordings: Path) -> None:
     found = said(recordings / "so101-pan").causes
     assert [one.name.effect for one in found] == ["coulomb-friction"]
-    assert effects(found[0]) == {"coulomb-friction", "backlash"}
+    assert "backlash" in effects(found[0])
 
 
 def test_the_robot_joint_has_the_published_dry_friction(recordings: Path) -> None:

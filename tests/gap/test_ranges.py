@@ -5,20 +5,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from labrun.gap.noise_threshold import NoiseThreshold
 from scipy.integrate import solve_ivp
 
 from labrun.effects import Scale, load_effect
 from labrun.fit import Dataset, OutputNoise
 from labrun.fit.dataset import FitTrial
-from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import candidates, site_scales, untried
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.forms import best_form
+from labrun.gap.evidence import Units
 from labrun.gap.intervals import scatter
-from labrun.gap.recalibration import recalibrate, stated, stated_problem, unit_remarks
-from labrun.gap.screening import Base, follow, rough, survey
+from labrun.gap.noise import of_sensor
+from labrun.gap.recalibration import stated, stated_problem, unit_remarks
+from labrun.gap.screening import Base
 from labrun.models import parse_model
 from labrun.store import SignalInfo
 
@@ -55,16 +54,6 @@ def test_what_a_model_has_no_place_for_is_said_with_what_to_add() -> None:
     assert "backlash" in said
     assert 'add stiffness = "..." to [sites.hinge]' in said
     assert not untried(pendulum())
-
-
-def test_what_needs_no_declaration_is_tried_and_what_another_effect_does_is_not_missed() -> None:
-    bare = parse_model(PENDULUM.replace('stiffness = "stiffness"\n', ""), "pendulum.toml")
-    tried = {one.name.effect for one in candidates(bare, {("joint", "hinge"): Scale(travel=9.0)})}
-    assert {"elastic-transmission", "gear-play", "asymmetric-damping"} <= tried
-    # a spring that rests elsewhere is a constant force, whatever its stiffness
-    assert "rest-offset" not in tried
-    assert "constant-force" in tried
-    assert "rest-offset" not in " ".join(untried(bare))
 
 
 SWING = """
@@ -112,8 +101,11 @@ def test_intervals_carry_what_is_stated_of_a_scale_that_the_data_do_not_show() -
     problem = problem.with_effects([friction], [Scale(force=1e-3)]).with_noise(OutputNoise(np.array([1e3])))
     z = problem.begin()
     base = Base.of(problem.with_measured(problem.simulated(z)), z)
-    silent = [[np.zeros_like(one) for one in base.residual]] * 400
-    torque = scatter(base, silent)[:, -1] / z[problem.size - 1]
+    noise = of_sensor(
+        data, [np.random.default_rng(1).standard_normal(one.outputs.shape) for one in data.trials]
+    )
+    units = Units((4, 4), np.repeat([0, 1], 4))
+    torque = scatter(base, noise, units, np.random.default_rng(0))[:, -1] / z[problem.size - 1]
     # all torques scale together with the inertia: of the scale, two statements of 5 % each tell what they can
     assert np.std(torque) == pytest.approx(0.05 / np.sqrt(2.0), rel=0.1)
 
@@ -126,7 +118,7 @@ def test_a_sensor_is_not_saturated_below_what_it_read() -> None:
         for one in candidates(problem.model, scales)
         if one.name.effect == "saturation" and one.attached is not None
     }
-    assert levels["angle"] == criteria.LEAST_LEVEL
+    assert 0.8 < levels["angle"] < 1.0
     assert levels["torque"] < 0.1  # what an amplifier gave is not known
 
 
@@ -145,19 +137,6 @@ def test_a_late_stop_far_stiffer_than_its_joint_is_found_with_its_stiffness_besi
     assert set(causes) == {"end-stop", "drift"}
     assert causes["end-stop"]["stiffness"].value == pytest.approx(10.0, rel=0.05)
     assert causes["end-stop"]["upper"].value == pytest.approx(0.98 * peak, rel=0.005)
-
-
-def test_a_candidate_that_is_fitted_in_a_wider_range_is_not_of_another_form() -> None:
-    """What is its usual form is looked at again with its shapes open, and must not be cut to the narrow range."""
-    data = averaged(recorded(stop(1.5, 10.0)), pendulum())
-    found = recalibrate(pendulum(), data, np.random.default_rng(0), lambda _: None)
-    base = Base.of(found.problem, found.z)
-    known = candidates(pendulum(), site_scales(found.problem, found.z))
-    (candidate,) = [one for one in known if str(one.name) == "end-stop at hinge"]
-    fitted = follow(base, rough(base, survey(base, candidate)))
-    best = best_form(base, fitted, fitted.gain, NoiseThreshold(10.0, 1.0))
-    assert best.candidate is not candidate
-    assert best.usual is None
 
 
 VESSEL = """

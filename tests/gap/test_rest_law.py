@@ -68,7 +68,7 @@ def test_one_trial_is_withheld_block_by_block():
 
 
 def test_the_law_is_written_as_an_effect_and_the_model_carries_it(cubic, tmp_path):
-    diagnosis = replace(gap_examples.not_in_library(), rest=cubic, source=str(tmp_path))
+    diagnosis = replace(gap_examples.unexplained(), law=cubic, source=str(tmp_path))
     (tmp_path / "hinge.toml").write_text(MODEL)
     save_with_law(
         diagnosis, tmp_path / "hinge.toml", tmp_path / "rest-law.toml", tmp_path / "rest-model.toml"
@@ -77,6 +77,6 @@ def test_the_law_is_written_as_an_effect_and_the_model_carries_it(cubic, tmp_pat
     assert [one.values for one in carried] == [cubic.values]
     assert load_model(tmp_path / "rest-model.toml").origin.model.endswith("hinge.toml")
     lines = [line.plain for line in gap_lines(diagnosis, 100)]
-    assert any(line.startswith("rest") and "Missing force at hinge" in line for line in lines)
+    assert any(line.startswith("law") and "Missing force at hinge" in line for line in lines)
     assert len(lines) <= 20
-    assert diagnosis.to_json()["rest"]["terms"][0]["unit"] == "N m"
+    assert diagnosis.to_json()["rest"]["law"]["terms"][0]["unit"] == "N m"

@@ -1,19 +1,16 @@
-"""Without repeats a cause is believed because it explains what chance does not, whatever the size of the noise."""
+"""Without repeats a cause is named where it improves the prediction of data that the fit has not seen."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from labrun.gap.noise_threshold import NoiseThreshold, chance_of_lines, independent_share, means_by_chance
 from scipy.integrate import solve_ivp
-from scipy.signal import butter, filtfilt, lfilter
+from scipy.signal import butter, filtfilt
 
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.noise import of_sensor
+from labrun.gap.noise import independent_share, of_sensor
 from labrun.models import parse_model
 from labrun.store import SignalInfo
 
@@ -74,50 +71,12 @@ stiffness = "stiffness"
 """
 
 
-@given(st.floats(0.01, 0.98), st.floats(1e-6, 1e6))
-def test_evidence_counts_shares_not_sizes(share: float, size: float) -> None:
-    one = NoiseThreshold(gain=0.3, dispersion=0.02, squares=1.0)
-    scaled = NoiseThreshold(gain=0.3 * size, dispersion=0.02 * size, squares=size)
-    assert scaled.evidence(share * size) == pytest.approx(one.evidence(share))
-    assert scaled.log_likelihood(share * size) == pytest.approx(one.log_likelihood(share))
-
-
-def test_what_removes_nearly_all_is_far_beyond_what_chance_removes() -> None:
-    threshold = NoiseThreshold(gain=0.8, dispersion=0.1, squares=1.0)
-    assert threshold.evidence(0.99) > 20
-    assert threshold.evidence(0.8) == pytest.approx(1.0)
-
-
 def test_white_noise_has_an_independent_number_to_each_sample_and_a_sine_few_to_a_trial() -> None:
     rng = np.random.default_rng(0)
     noise = [rng.standard_normal((1000, 1)) for _ in range(4)]
     sine = [np.sin(2 * np.pi * 5 * np.arange(1000) / 1000)[:, None]]
     assert independent_share(noise) > 0.85
     assert independent_share(sine) == pytest.approx(4 / 1000, rel=1e-3)
-
-
-@given(st.integers(0, 10**6), st.sampled_from([0.0, 0.7, 0.97]), st.booleans())
-def test_noise_of_any_colour_has_no_lines(seed: int, colour: float, rounded: bool) -> None:
-    rng = np.random.default_rng(seed)
-    noise = [lfilter([1.0], [1.0, -colour], rng.standard_normal((500, 2)), axis=0) for _ in range(5)]
-    assert chance_of_lines([np.round(one) if rounded else one for one in noise]) > 1e-6
-
-
-def test_a_vibration_below_the_noise_is_a_line_where_two_trials_have_it() -> None:
-    rng = np.random.default_rng(2)
-    noise = [lfilter([1.0], [1.0, -0.9], rng.standard_normal((800, 1)), axis=0) for _ in range(4)]
-    humming = [one + np.sin(np.arange(800) + place)[:, None] for place, one in enumerate(noise)]
-    assert chance_of_lines(humming) < 1e-12
-    assert chance_of_lines([humming[0], *noise[1:]]) > 1e-3
-    assert chance_of_lines(humming[:1]) == 1.0
-
-
-def test_a_spring_that_pulsates_is_no_noise_though_nothing_that_was_recorded_tells_it() -> None:
-    found = diagnose_dataset(
-        recorded(lambda t, q, v: -0.004 * float(np.sin(9.0 * t)) * q, repeats=1), pendulum(), QUICK
-    )
-    assert found.verdict == "not-in-library"
-    assert found.gap.recalibrated < 3.0
 
 
 @pytest.mark.parametrize("slow", [0.0, 0.05])
@@ -143,34 +102,12 @@ def test_jumps_where_friction_turns_are_no_noise_of_a_sensor() -> None:
     assert of_sensor(data, residual).sd[0] == pytest.approx(0.004, rel=0.2)
 
 
-@given(st.integers(0, 10**6), st.integers(2, 9), st.integers(1, 3))
-def test_means_by_chance_are_as_large_and_as_far_tied_to_each_other_as_those_that_were_seen(
-    seed: int, trials: int, channels: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    samples = rng.integers(20, 90, trials).astype(float)
-    spectra = [np.fft.rfft(rng.standard_normal((int(n), channels)) + 1.0, axis=0) for n in samples]
-    seen = np.array([one[0].real for one in spectra]) / np.sqrt(samples)[:, None]
-    drawn = means_by_chance(spectra, samples, rng) / np.sqrt(samples)[:, None]
-    assert drawn.T @ drawn == pytest.approx(seen.T @ seen, rel=1e-9, abs=1e-9)
-
-
-def test_the_mean_of_one_trial_is_by_chance_as_large_as_its_slowest_waves() -> None:
-    rng = np.random.default_rng(3)
-    noise = rng.standard_normal((4000, 1))
-    spectrum = np.fft.rfft(noise + 50.0, axis=0)
-    drawn = np.array([means_by_chance([spectrum], np.array([4000.0]), rng)[0, 0] for _ in range(300)])
-    slowest = np.sqrt(np.mean(np.square(np.abs(spectrum[1:4]))))
-    assert np.std(drawn) == pytest.approx(slowest, rel=0.15)
-
-
 def test_an_offset_that_four_trials_share_is_told_though_it_has_no_phase() -> None:
     found = diagnose_dataset(
         recorded(repeats=1, conditions=CONDITIONS[:4], seen=lambda angle: angle + 0.02), pendulum(), QUICK
     )
     assert [str(one.name) for one in found.causes] == ["bias at angle"]
     assert found.causes[0].values["offset"].value == pytest.approx(0.02, rel=0.1)
-    assert found.causes[0].confidence > 0.7
 
 
 def test_friction_is_named_from_trials_that_were_never_repeated() -> None:
@@ -185,20 +122,19 @@ def test_friction_is_named_from_trials_that_were_never_repeated() -> None:
 def test_what_no_model_predicts_is_not_called_a_gap() -> None:
     found = diagnose_dataset(recorded(nothing, repeats=1), pendulum(), QUICK)
     assert not found.causes
-    assert found.verdict in ("parameter", "undecided", "no-gap")
+    assert found.verdict == "cannot-tell"
     assert found.gap.recalibrated <= found.gap.raw
 
 
 @pytest.mark.slow
-def test_a_law_that_the_library_lacks_is_no_noise_even_without_repeats() -> None:
+def test_a_law_that_the_library_lacks_leaves_a_rest_that_is_told_with_what_it_depends_on() -> None:
     oiled_in_places = diagnose_dataset(
         recorded(lambda t, q, v: -0.006 * v * (1.0 + float(np.cos(5.0 * q))), repeats=1), pendulum(), QUICK
     )
-    assert oiled_in_places.verdict == "not-in-library"
-
-
-def test_where_nothing_shows_no_gain_is_evidence():
-    assert NoiseThreshold(gain=0.0, dispersion=1.0).evidence(3.0) == 0.0
+    assert oiled_in_places.verdict in ("unexplained", "partly-explained")
+    assert oiled_in_places.rest.predictable is not None
+    assert oiled_in_places.rest.predictable > 0.2
+    assert oiled_in_places.rest.depends_on
 
 
 def sharp_friction(t: float, q: float, v: float) -> float:

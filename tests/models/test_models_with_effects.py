@@ -182,3 +182,32 @@ def test_a_fault_in_a_file_with_a_base_is_reported(text, tmp_path):
     (tmp_path / "b.toml").write_text(text)
     with pytest.raises(ModelError, match=BASE_FAULTS[text]):
         load_model(tmp_path / "b.toml")
+
+
+@pytest.mark.parametrize("substeps", [1, 3])
+@pytest.mark.parametrize("rate", ["speed", "2*speed"])
+def test_an_inertia_in_a_model_without_states_is_accelerated_as_the_inputs_are(rate, substeps):
+    """Inverse dynamics: position and rate are recorded, and the torque is what is asked for."""
+    model = parse_model(
+        f"""
+        name = "inverse"
+        inputs = ["position", "speed"]
+        [outputs]
+        torque = "5.0*position - force.shaft"
+        [sites.shaft]
+        kind = "joint"
+        coordinate = "position"
+        rate = "{rate}"
+        """,
+        "inverse.toml",
+    )
+    inertia = load_effect("added-inertia").attach("shaft", inertia=0.3)
+    w = 6.0
+    inputs = np.column_stack([np.sin(w * TIME_S), w * np.cos(w * TIME_S)])
+    driven = prepare(model, TIME_S, inputs, substeps)
+    torque = simulate(model, TIME_S, driven, effects=[inertia]).outputs[:, 0]
+    factor = 2.0 if rate == "2*speed" else 1.0
+    expected = 5.0 * inputs[:, 0] - 0.3 * factor * w**2 * np.sin(w * TIME_S)
+    # inputs are linear between samples: the slope of the speed is that of the middle of an interval
+    halfway = 0.5 * w * (TIME_S[1] - TIME_S[0])
+    np.testing.assert_allclose(torque, expected, atol=1.1 * halfway * 0.3 * factor * w**2)

@@ -1,12 +1,14 @@
 """Diagnoses of any numbers and any names."""
 
 from dataclasses import replace
+from typing import get_args
 
 import gap_examples as examples
 import numpy as np
 from hypothesis import strategies as st
 
 from labrun.gap import Cause, MissingForce, Name, Place, RatedCandidate, ResampledNumber, Shrinkage, Sizes
+from labrun.gap.diagnosis import Rest, Rung, Verdict
 
 BASE = examples.static()
 numbers = st.floats(-1e9, 1e9, allow_nan=False)
@@ -22,7 +24,7 @@ estimates = st.builds(
 values = st.dictionaries(words, estimates, max_size=3)
 places = st.builds(
     Place,
-    st.sampled_from(["channel", "condition", "phase", "frequency", "state", "reversal", "equation"]),
+    st.sampled_from(["channel", "condition", "phase", "frequency", "state", "reversal"]),
     words,
     shares,
     st.none() | st.floats(0.0, 1.0),
@@ -31,15 +33,28 @@ places = st.builds(
 candidates = st.builds(
     RatedCandidate,
     names,
-    st.sampled_from(["cause", "ruled-out", "not-visible", "indistinguishable"]),
+    st.sampled_from(["cause", "rival", "not-needed", "excluded", "not-visible"]),
     st.none() | shares,
-    numbers,
     values,
     values,
     st.lists(names, max_size=2).map(tuple),
     words,
 )
-causes = st.builds(Cause, names, st.floats(0, 1), values, st.lists(names, max_size=2).map(tuple), words)
+references = st.dictionaries(words, st.tuples(numbers, st.sampled_from(["1", "rad/s", ""])), max_size=2)
+causes = st.builds(
+    Cause,
+    names,
+    st.floats(0, 1) | st.just(float("nan")),
+    values,
+    shares,
+    shares,
+    st.lists(names, max_size=2).map(tuple),
+    references,
+    words,
+)
+rests = st.builds(
+    Rest, sizes, shares, st.none() | st.floats(0, 1), st.lists(words, max_size=2).map(tuple), st.booleans()
+)
 sentences = st.lists(words, max_size=6).map(tuple)
 
 
@@ -65,12 +80,22 @@ def missing(draw):
 
 
 @st.composite
+def rungs(draw, outputs):
+    return Rung(
+        draw(words),
+        draw(st.none() | names),
+        {name: draw(sizes) for name in outputs},
+        draw(sizes),
+        draw(shares),
+    )
+
+
+@st.composite
 def diagnoses(draw):
+    outputs = draw(st.lists(words, min_size=2, max_size=2, unique=True))
     return replace(
         BASE,
-        verdict=draw(
-            st.sampled_from(["no-gap", "parameter", "explained", "partly-explained", "not-in-library"])
-        ),
+        verdict=draw(st.sampled_from(get_args(Verdict))),
         sentence=draw(words),
         gap=Sizes(draw(sizes), draw(sizes), draw(sizes), draw(sizes)),
         where=tuple(draw(st.lists(places, max_size=12))),
@@ -83,7 +108,11 @@ def diagnoses(draw):
         limitations=draw(sentences),
         what_next=draw(sentences),
         notes=draw(sentences),
-        channels=((draw(words), "N m"), (draw(words), "1")),
+        channels=((outputs[0], "N m"), (outputs[1], "1")),
+        noise={name: draw(sizes) for name in outputs},
+        ladder=tuple(draw(st.lists(rungs(outputs), min_size=2, max_size=5))),
+        rest=draw(rests),
+        stopped=draw(st.sampled_from(["", "time", "interrupted"])),
         conditions=draw(st.integers(1, 3)),
         missing=tuple(draw(st.lists(missing(), max_size=2))),
         traces=tuple(draw(st.lists(traces(), max_size=3))),

@@ -6,7 +6,7 @@ import pytest
 
 from labrun.estimate import significant
 from labrun.gap import Name, ResampledNumber
-from labrun.report.gap_words import bound_words, removes_words
+from labrun.report.gap_words import bound_words
 from labrun.report.text import decimal_text, decimals_for, duration_text, label, share_text
 
 
@@ -44,20 +44,6 @@ def test_a_least_level_is_told_as_such_to_either_side():
 def test_a_largest_size_is_told_as_such():
     assert bound_words({"time": ResampledNumber(8e-3, 0.0, 8e-3, "s")}) == ["time at most 0.008 s"]
     assert bound_words({"force": ResampledNumber(0.0, 0.0, 0.0, "N")}) == ["force at most 0 N"]
-
-
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [
-        (-1.0, "makes it worse"),
-        (-0.03, "makes it worse"),
-        (-1e-4, "0\u00a0%"),
-        (0.97, "97\u00a0%"),
-        (1.2, "100\u00a0%"),
-    ],
-)
-def test_what_adds_to_the_gap_makes_it_worse(share, text):
-    assert removes_words(share) == text
 
 
 def test_an_effect_that_depends_on_something_is_hyphenated():

@@ -159,7 +159,7 @@ def test_what_the_data_cannot_tell_apart_is_told_apart_by_the_proposed_trials(pr
     dataset, model = bench.carry_out(proposal, folder)
     found = diagnose_dataset(dataset, model, Options(places=False))
     (cause,) = found.causes
-    left = {str(one.name) for one in found.candidates if one.verdict in ("cause", "indistinguishable")}
+    left = {str(one.name) for one in found.candidates if one.verdict in ("cause", "rival")}
     assert str(cause.name) in left
     assert truth in left
     assert not others & left

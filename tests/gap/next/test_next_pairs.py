@@ -78,7 +78,7 @@ def test_what_slow_motion_leaves_open_the_proposed_experiment_settles(case, tmp_
     found = diagnose(first, more=[second], workspace=tmp_path, options=Options(places=False))
     (cause,) = found.causes
     assert str(cause.name) == pair.truth
-    left = {str(one.name) for one in found.candidates if one.verdict == "indistinguishable"}
+    left = {str(one.name) for one in found.candidates if one.verdict == "rival"}
     assert pair.mended_alike or pair.other not in left
 
 
