@@ -387,11 +387,6 @@ def _starts(effect: Effect) -> tuple[tuple[float, ...], ...]:
     return tuple(found)
 
 
-def without(everything: Sequence[Candidate], names: Collection[Name]) -> list[Candidate]:
-    """Return the candidates that are not among `names`."""
-    return [one for one in everything if one.name not in names]
-
-
 FAMILIES: Mapping[str, tuple[str, ...]] = {
     "dry friction": (
         "coulomb-friction",
