@@ -67,6 +67,11 @@ class CauseSet:
         return frozenset((candidate.name, candidate.fitted) for candidate in self.base.added)
 
     @property
+    def variables(self) -> int:
+        """Number of variables of the causes."""
+        return sum(candidate.variables for candidate in self.base.added)
+
+    @property
     def complexity(self) -> tuple[int, int]:
         """Number of variables of the causes, then how uncommon they are in practice."""
         variables, ranks = zip(*(candidate.complexity for candidate in self.base.added), strict=True)
@@ -261,30 +266,50 @@ class Selector:
         return model.fitted < criteria.SHARE_OF_GAP * self.reference.fitted
 
     def _forward(self) -> None:
-        """Add causes, or shapes of causes, one step after the other; the first two causes also only together."""
-        best, beam, failed = self.reference, [self.reference], False
-        while len(best.candidates) < criteria.MOST_CAUSES and not self._is_explained(best):
-            self.progress.note(f"looking for a cause {_listed(beam[0])}")
-            larger: dict[Forms, CauseSet] = {}
-            for model in beam:
-                for entry in self._table(model).extended:
-                    known = larger.get(entry.forms)
-                    if known is None or entry.error.mean < known.error.mean:
-                        larger[entry.forms] = entry
-            if not larger:
+        """Add causes, or shapes of causes, one step after the other; the first two causes also only together.
+
+        Beside a cause of several parameters the best of fewer stays in the beam: with a further cause it may explain as
+        much by fewer parameters in all.
+        """
+        beam, failed = [self.reference], False
+        while len(self._best.candidates) < criteria.MOST_CAUSES:
+            if self._is_explained(self._best) and len(beam) < 2:
                 break
-            sets = sorted(larger.values(), key=lambda entry: entry.error.mean)
-            leader = self._leader(sets)
-            if self.is_accepted(leader, best):
-                self._best = best = leader
-                beam = [leader]
+            self.progress.note(f"looking for a cause {_listed(beam[0])}")
+            sets = self._extended_from(beam)
+            if not sets:
+                break
+            accepted = [entry for entry in sets if self.is_accepted(entry, self._best)]
+            leader = self._leader(accepted or sets)
+            if accepted:
+                simpler = [entry for entry in accepted if entry.variables < leader.variables]
+                self._best, beam = leader, [leader, *simpler[:1]]
                 continue
-            if failed or best is not self.reference:
+            simpler = [
+                entry
+                for entry in sets
+                if entry.variables < self._best.variables and not self._beats(self._best, entry)
+            ]
+            if simpler:
+                self._best = self._leader(simpler)
+                beam = [self._best]
+                continue
+            if failed or self._best is not self.reference:
                 break
             # two causes may each predict badly alone: what fits the seen data best stays in the beam, too
             by_fit = min(sets, key=lambda entry: entry.fitted)
             kept = (leader, *sets[: criteria.BEAM - 1], by_fit)
             beam, failed = list({entry.forms: entry for entry in kept}.values()), True
+
+    def _extended_from(self, beam: Sequence[CauseSet]) -> list[CauseSet]:
+        """Return the sets that the tables of a beam hold, each as its best fit, the best first."""
+        larger: dict[Forms, CauseSet] = {}
+        for model in beam:
+            for entry in self._table(model).extended:
+                known = larger.get(entry.forms)
+                if known is None or entry.error.mean < known.error.mean:
+                    larger[entry.forms] = entry
+        return sorted(larger.values(), key=lambda entry: entry.error.mean)
 
     def _exchange(self) -> None:
         """Drop each cause that the others do without, and exchange each for what leads in its place."""
