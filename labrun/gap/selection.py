@@ -323,7 +323,12 @@ class Selector:
                     self.progress.note(f"{candidate.name} is not needed beside the others")
                     self._best = without
                     break
-                leader = self._leader(self._in_place_of(best, without))
+                others = [
+                    entry
+                    for entry in self._in_place_of(best, without)[1:]
+                    if self.is_accepted(entry, without)
+                ]
+                leader = self._leader([best, *others])
                 if leader.names != best.names and not self._beats(best, leader):
                     self.progress.note(f"{leader.candidates[-1].name} takes the place of {candidate.name}")
                     self._best = leader
