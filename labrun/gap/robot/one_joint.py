@@ -251,7 +251,7 @@ def _parts(terms: Carried, lengths: Sequence[int]) -> Iterator[Carried]:
         rows = slice(first, first + length)
         yield Carried(
             terms.bodies, terms.inertia[rows], terms.torque[rows], terms.slope[rows], terms.rate_slope[rows],
-            terms.tilt[rows], terms.load[rows],
+            terms.tilt[rows], terms.load[rows], terms.gravity[rows],
         )  # fmt: skip
         first += length
 
@@ -300,7 +300,7 @@ def _dataset(
         columns += [
             terms.torque[:, place, rest].sum(axis=1) + more[:, place], terms.inertia[:, place, rest].sum(axis=1),
             terms.slope[:, place], terms.rate_slope[:, place], q[:, place], rate[:, place],
-            found.given_way(number, place),
+            found.given_way(number, place), terms.gravity[:, place], found.carried(number, place)[0][:, 0],
         ]  # fmt: skip
         columns += [acceleration[:, place]] if by_torque else []
         columns += [terms.tilt[:, place, 0], terms.tilt[:, place, 1]] if tilted else []
@@ -340,6 +340,7 @@ def _lines(
         yield f'{drive.input} = {{ unit = "{drive.unit}", between = "{between}" }}'
     known = [f"torque_{k}" for k in range(len(bodies))] + [f"inertia_{k}" for k in range(len(bodies))]
     known += ["torque_rest", "inertia_rest", "slope", "rate_slope", "measured", "measured_rate", "given_way"]
+    known += ["weight_torque", "motion_torque"]
     known += ["measured_acceleration"] if by_torque else []
     known += ["roll_torque", "pitch_torque"] if tilted else []
     known += ["load_torque"] if loaded else []
@@ -362,6 +363,7 @@ def _lines(
     forces = [
         f"force.{q}",
         f"force.{q}_link",
+        *([f"force.{q}_controller"] if drive is not None else []),
         *([f"force.{_whole_site('base', joint)}"] if tilted else []),
         *([f"force.{_whole_site('tip', joint)}"] if loaded else []),
     ]
@@ -439,6 +441,8 @@ def _sites(
     if joint.sprung:
         yield f'stiffness = "{q}_stiffness"'
     yield f'[sites.{q}_link]\nkind = "link"\ncoordinate = "given_way"\nrate = "{rate}"\nunit = "{joint.unit}"'
+    if driven:
+        yield f'[sites.{q}_controller]\nkind = "controller"\ncoordinate = "weight_torque"\nrate = "motion_torque"'
     if tilted:
         yield f"[sites.{_whole_site('base', joint)}]"
         yield 'kind = "base"\ncoordinate = "roll_torque"\nrate = "pitch_torque"'

@@ -30,6 +30,8 @@ class Carried:
         What gravity asks for more for each rad that the base is rolled (about x) and pitched (about y).
     load : (n, joints)
         What a kilogram at the far end of the last body would ask for, own acceleration included.
+    gravity : (n, joints)
+        What holds each joint against gravity.
     """
 
     bodies: tuple[str, ...]
@@ -39,6 +41,7 @@ class Carried:
     rate_slope: FloatArray
     tilt: FloatArray
     load: FloatArray
+    gravity: FloatArray
 
 
 def carried(xml: str, joints: list[str], motion: tuple[FloatArray, FloatArray, FloatArray]) -> Carried:
@@ -93,6 +96,7 @@ def carried(xml: str, joints: list[str], motion: tuple[FloatArray, FloatArray, F
         rate_slope,
         np.stack(tilt, 2),
         tip.torque(tip.far_end),
+        still,
     )
 
 
