@@ -154,7 +154,7 @@ def test_prescribed_motion_is_no_site(tmp_path):
     robot, model, dataset = arm(tmp_path)
     places = one_joint(prescribed(robot, model, dataset), 1).model.places
     assert [(one.kind, one.name) for one in places] == [
-        ("joint", "elbow"), ("link", "elbow_link"), ("base", "base"), ("tip", "tip"),
+        ("joint", "elbow"), ("link", "elbow_link"), ("controller", "elbow_controller"), ("base", "base"), ("tip", "tip"),
         ("input", "elbow_command"), ("output", "elbow"),
     ]  # fmt: skip
 
