@@ -3,8 +3,8 @@
     python benchmarks/soak.py [--trials 2000] [--minutes 60] [--every 30] [--seed 1]
 
 Real drivers, real time, emulators in processes of their own: a Dynamixel with feedback and a force/torque sensor on a
-fin in a tank, short trials with ``on_fault = "skip"``. Every `--every` seconds one fault strikes at a random moment of a
-recording, lasts a moment, and ends. A fault that spoils a recording must fail or reject its trial; one that drivers
+fin in a tank, short trials with ``on_fault = "skip"``. Every `--every` seconds one fault strikes at a random moment of
+a recording, lasts a moment, and ends. A fault that spoils a recording must fail or reject its trial; one that drivers
 make good may leave it done. The script fails where a trial is lost or wrongly done, nothing happens for a minute, or
 memory grows.
 """

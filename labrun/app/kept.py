@@ -92,8 +92,8 @@ def kept_folder(target: Path, results: Path, what: str) -> Path:
 def stem_of(name: str) -> str:
     """Return what files of this name are called: several answers about one run stand side by side.
 
-    A name in which characters have to be replaced gets a digest of the whole behind it, so that the files of ``a.b`` and
-    ``a-b`` are two.
+    A name in which characters have to be replaced gets a digest of the whole behind it, so that the files of ``a.b``
+    and ``a-b`` are two.
     """
     plain = "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name) or "model"
     return plain if plain == name else f"{plain}-{hashlib.blake2b(name.encode(), digest_size=3).hexdigest()}"
