@@ -1,5 +1,6 @@
 """Where answers about data are kept: beside the run they are of, or below the results; never in a recording."""
 
+import hashlib
 import json
 import secrets
 from collections.abc import Callable, Mapping
@@ -89,8 +90,13 @@ def kept_folder(target: Path, results: Path, what: str) -> Path:
 
 
 def stem_of(name: str) -> str:
-    """Return what files of this name are called: several answers about one run stand side by side."""
-    return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name) or "model"
+    """Return what files of this name are called: several answers about one run stand side by side.
+
+    A name in which characters have to be replaced gets a digest of the whole behind it, so that the files of ``a.b``
+    and ``a-b`` are two.
+    """
+    plain = "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name) or "model"
+    return plain if plain == name else f"{plain}-{hashlib.blake2b(name.encode(), digest_size=3).hexdigest()}"
 
 
 def _put_aside(folder: Path) -> None:

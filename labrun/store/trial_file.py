@@ -63,10 +63,11 @@ _LOCKED, _UNLOCKED = _access(locked=True), _access(locked=False)
 
 def check_names(device: str, channels: Sequence[str]) -> None:
     """Raise StoreError where a name cannot stand in a file beside the names labrun uses itself."""
-    if device in RESERVED or not _fits(device):
+    if device in RESERVED or not _fits(device) or "." in device:
         raise StoreError(
             f"a device cannot be stored under the name {device!r}",
-            hint=f"choose a name without '/', other than {', '.join(sorted(RESERVED))}",
+            hint=f"choose a name without '/' and '.' (its channels are {device}.NAME), other than "
+            f"{', '.join(sorted(RESERVED))}",
         )
     check_columns(f"device {device}: channel", channels)
 

@@ -80,7 +80,9 @@ def test_an_exception_in_the_midst_of_a_recording_stops_the_servo(tmp_path, monk
 
         monkeypatch.setattr(sensor, "read", fail)
         lab.watcher.when_recording(SOON_S, lambda: failing.append(CLOCK.now()))
-        with pytest.raises(DeviceError, match="device wrench: its driver failed: ZeroDivisionError"):
+        with pytest.raises(
+            DeviceError, match=r"device wrench: its driver failed in read\(\): ZeroDivisionError"
+        ):
             lab.measure()
         assert stopped_after(lab, failing[0]) < lab.journal("stopped")[0]["clock_s"]
 

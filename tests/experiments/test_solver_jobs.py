@@ -31,7 +31,8 @@ def solved(tmp_path, name, device, program, *more):
     run = tomllib.loads(text)["rig"]["devices"][device]["run"]
     arguments = [sys.executable, str(script), *run[2:]]
     keys = [f"rig.devices.{device}.run={arguments!r}", f"rig.devices.{device}.keep='{tmp_path}/kept'", *more]
-    return labrun.run(name, dry_run=True, seed=1, overrides=keys, results=tmp_path / "results").run
+    keys += [f"rig.devices.{device}.rate_hz=1000", "trial.duration_s=0.3"]
+    return labrun.run(name, seed=1, overrides=keys, results=tmp_path / "results").run
 
 
 @pytest.mark.parametrize(("tolerance", "within"), [("15%", True), ("5%", False)])

@@ -38,6 +38,7 @@ EACH = (
     "--set", 'cmaes.each.attachment=["broad", "short"]', "--set", "cmaes.population=4",
     "--set", "cmaes.reevaluate=1", "--set", "cmaes.stop.iterations=3", "--set", "leaders={count=2, repeats=2}",
 )  # fmt: skip
+TRACK = ("track", "force-control", "--dry-run", "--json", "--set", "trial.repeats=1")
 GAIT = "{alpha_1=36, alpha_2=40, beta_1=20, beta_2=-18, f=1.4, phi=60}"
 ASKED = (
     "run", "field-turn", "--dry-run", "--json",
@@ -143,6 +144,7 @@ def test_a_design_killed_at_random_instants_is_the_same_design(labrun, command, 
             pytest.param(one, most, id=f"{name}-{most}", marks=pytest.mark.slow)
             for name, one, most in (
                 ("sweep", SWEEP, 50), ("search", SEARCH, 50), ("over", OVER, 8), ("each", EACH, 8), ("asked", ASKED, 8),
+                ("track", TRACK, 8),
             )
         ),
     ],

@@ -1,7 +1,7 @@
 """A robot from an MJCF or URDF file alone: what drives it, what is measured, and a site at every joint."""
 
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -219,6 +219,7 @@ def read_robot(
         names = [name for name, one in wanted.items() if one == kind]
         if names:
             remarks.append(f"{', '.join(names)}: the file has no actuator there; {words} was added")
+    _require_distinct(path, "joint", [joint.name for joint in simple])
     model = _compile(spec, path)
     if model.neq:
         kept = "1 equality constraint is" if model.neq == 1 else f"{model.neq} equality constraints are"
@@ -498,6 +499,18 @@ def _command(mujoco: Any, actuator: Any) -> Command:
     if bias[1] == 0.0 and np.isclose(bias[2], -gain[0]) and gain[0] != 0.0:
         return "velocity"
     return "other"
+
+
+def _require_distinct(path: Path, what: str, names: Sequence[str]) -> None:
+    """Raise ModelError where two names are the same once equations can use them."""
+    taken: dict[str, str] = {}
+    for name in names:
+        other = taken.setdefault(identifier(name), name)
+        if other != name:
+            raise ModelError(
+                f"{path}: {what}s {other!r} and {name!r} are both {identifier(name)} in equations and channels",
+                hint="rename one of them: letters without accents, digits and _ tell names apart",
+            )
 
 
 def identifier(name: str) -> str:

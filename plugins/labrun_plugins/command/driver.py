@@ -135,11 +135,11 @@ class Command:
     Parameters
     ----------
     name, settings, context
-        As for every device. A dry run computes as well: there is nothing to simulate.
+        As for every device.
     """
 
     Settings: ClassVar[type[DeviceSettings]] = CommandSettings
-    stand_in: ClassVar[str] = "command"
+    stand_in: ClassVar[str] = "labrun_plugins.command.driver:PlayedCommand"
     joints: tuple[str, ...] = ()
     zero_known: ClassVar[bool] = True
 
@@ -201,7 +201,11 @@ class Command:
         self._kept = Path(self._settings.keep) / f"{self.name}-{digest}.csv"
         if self._kept.is_file():
             self._read(self._kept)
-            return
+        else:
+            self._compute(plain)
+
+    def _compute(self, plain: Sequence[str]) -> None:
+        """Start the program; `plain` are its arguments but for the output."""
         self._kept.parent.mkdir(parents=True, exist_ok=True)
         for unfinished in self._kept.parent.glob(f"{self._kept.stem}.partial-*.csv"):
             unfinished.unlink(missing_ok=True)
@@ -329,6 +333,24 @@ class Command:
         except subprocess.TimeoutExpired:
             with suppress(OSError):
                 process.kill()
+
+
+class PlayedCommand(Command):
+    """A command in a dry run: starts nothing.
+
+    It sees that the program is there and plays what an earlier run computed for the condition; zeros where none did.
+    """
+
+    def identify(self) -> Identity:
+        """Say what would be run."""
+        return Identity(
+            "a program (dry run: not started)",
+            details={"run": " ".join(self._settings.run), "plays": "stored results, else zeros"},
+        )
+
+    def _compute(self, plain: Sequence[str]) -> None:  # noqa: ARG002
+        self._rows = np.zeros((1, len(self.channels)))
+        self._times_s = np.zeros(1)
 
 
 def _filled(text: str, words: Mapping[str, str]) -> str:

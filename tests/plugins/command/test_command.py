@@ -47,9 +47,10 @@ def solve(tmp_path, monkeypatch):
     def run(*, before="", value="row * angle", timeout=60, **keys):
         (tmp_path / "solver.py").write_text(SOLVER.format(before=textwrap.dedent(before), value=value))
         (tmp_path / "fea.toml").write_text(FILE.format(python=sys.executable, timeout=timeout))
-        return labrun.run("fea.toml", dry_run=True, seed=1, **keys)
+        return labrun.run("fea.toml", seed=1, draw=False, **keys)
 
-    run.started = lambda: len((tmp_path / "count.txt").read_text())
+    count = tmp_path / "count.txt"
+    run.started = lambda: len(count.read_text()) if count.exists() else 0
     return run
 
 
@@ -81,6 +82,22 @@ def test_a_condition_is_computed_once_also_in_later_runs(solve):
     assert solve.started() == 2
     solve()
     assert solve.started() == 2
+
+
+def test_a_dry_run_starts_nothing_and_plays_what_was_computed_else_zeros(solve):
+    with open_run(solve(dry_run=True).run) as run:
+        assert [outcome.objectives["peak"] for outcome in run.outcomes] == [0.0, 0.0]
+    assert solve.started() == 0
+    solve(overrides=["run.conditions=[{ angle = 10 }]"])
+    with open_run(solve(dry_run=True).run) as run:
+        peaks = {outcome.condition["angle"]: outcome.objectives["peak"] for outcome in run.outcomes}
+    assert peaks == pytest.approx({10.0: 190.0, 20.0: 0.0})
+    assert solve.started() == 1
+
+
+def test_a_dry_run_says_that_a_program_is_not_there(solve):
+    with pytest.raises(LabrunError, match="there is no program 'abaqvs'"):
+        solve(dry_run=True, overrides=['rig.devices.fea.run=["abaqvs"]'])
 
 
 @pytest.mark.parametrize(
