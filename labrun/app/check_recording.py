@@ -159,7 +159,10 @@ def require_near(target: str | Path, *, results: str | Path = "results") -> None
     A wrong unit, sign or column explains that more often than physics that is missing. Joints driven by a torque are
     not looked at: nothing holds a simulated robot where the measured one was.
     """
-    folder = find_data(target, Path(results))
+    try:
+        folder = find_data(target, Path(results))
+    except RequestError:
+        return  # the diagnosis itself says that it does not exist
     if not (folder / ROBOT).is_file() or not (folder / "model.toml").is_file():
         return
     question = ask(folder, None)

@@ -65,7 +65,7 @@ class ChannelPreview:
         period = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
         changes = np.abs(np.diff(values))
         usual = float(np.quantile(changes, 0.99))
-        levels = np.unique(np.round(values, 12))
+        levels = np.unique(np.round(values, 9 - int(np.floor(np.log10(np.ptp(values) or 1.0)))))
         steps_between = np.diff(levels) if len(levels) < _COARSE * len(values) else np.empty(0)
         return cls(
             match.wanted.channel, match.column.name, match.unit, match.why, 1.0 / period if period else 0.0,

@@ -96,6 +96,12 @@ def test_xacro_is_named_with_the_command_that_makes_a_urdf_of_it(tmp_path, name)
     assert error.value.hint == f"xacro {name} > arm.urdf"
 
 
+def test_a_urdf_that_xacro_has_made_is_a_urdf(tmp_path):
+    text = URDF.format(base='<link name="base"/>', izz="1e-3")
+    text = text.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+    assert len(robot_of(tmp_path, text, "arm.urdf").joints) == 1
+
+
 @pytest.mark.parametrize("izz", ["9e-3", "-1e-3"])
 def test_an_inertia_that_no_body_can_have_is_named_and_repaired_if_asked(tmp_path, izz):
     text = URDF.format(base='<link name="base"/>', izz=izz)

@@ -23,7 +23,8 @@ def require_links(path: Path) -> None:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {error.strerror}") from None
-    if "xmlns:xacro" in text or re.search(r"<xacro:|\$\{[^}]*\}|\$\(arg ", text):
+    # what xacro has made keeps the declaration of its name space
+    if re.search(r"<xacro:|\$\{[^}]*\}|\$\(arg ", text):
         plain = path.name.removesuffix(".xacro").removesuffix(".urdf").removesuffix(".xml")
         raise ModelError(
             f"{path} is xacro, from which a URDF is made first", hint=f"xacro {path.name} > {plain}.urdf"
