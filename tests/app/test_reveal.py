@@ -62,7 +62,7 @@ def run_hiding(folder, *hidden, says):
         ([INERTIA], examples.explained, "wrong"),
         ([INERTIA], examples.no_gap, "missed"),
         ([], examples.explained, "false alarm"),
-        ([], examples.unexplained, "false alarm"),
+        ([], examples.unexplained, "right"),
         ([], examples.no_gap, "right"),
         ([], examples.parameter, "right"),
         ([{**TRUTH, "effect": "backlash"}], examples.explained, "wrong"),
