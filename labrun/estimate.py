@@ -43,6 +43,15 @@ def parameters_json(parameters: Mapping[str, Estimate]) -> dict[str, Any]:
     }
 
 
+def outside_text(value: float, low: float, high: float) -> str:
+    """Return a value that is outside of bounds with as many digits, four or more, as show that it is."""
+    for digits in range(4, 17):
+        text = f"{value:.{digits}g}"
+        if not low <= float(text) <= high:
+            return text
+    return repr(value)
+
+
 def rounded(estimate: Estimate) -> tuple[str, str, str]:
     """Return value and interval with the digits the interval supports: two of its half-width."""
     low, high = estimate.ci95

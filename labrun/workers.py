@@ -18,6 +18,7 @@ from concurrent.futures import (
 )
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
@@ -66,7 +67,7 @@ def spread(
     try:
         while True:
             for key, job, arguments in jobs:
-                with _deaf():
+                with _signals_blocked():
                     pending[pool.executor.submit(job, *arguments)] = key
                 if len(pending) >= pool.ahead:
                     break
@@ -143,9 +144,14 @@ def _dask(address: str) -> Iterator[Pool]:
 
 
 def _begin(scratch: str) -> None:
-    """Leave Ctrl-C and warnings to the process that asked, and end with it; files go into `scratch`."""
+    """Leave signals and warnings to the process that asked, and end with it; files go into `scratch`.
+
+    SIGTERM still ends it: that is how a worker that hangs is stopped.
+    """
     tempfile.tempdir = scratch
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in _NOT_FOR_WORKERS:
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     warnings.simplefilter("ignore")
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
@@ -176,14 +182,16 @@ def _one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
+_NOT_FOR_WORKERS = (signal.SIGINT, signal.SIGHUP)
+"""What a terminal sends to every process in it; the one that asked ends its workers itself."""
+
+
 @contextmanager
-def _deaf() -> Iterator[None]:
-    """Start a process while Ctrl-C is ignored, which it inherits: no traceback of a worker that is still importing."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _signals_blocked() -> Iterator[None]:
+    """Start a process while Ctrl-C and a closed terminal are blocked, which it inherits; here they come afterwards."""
+    resource_tracker.ensure_running()  # it unblocks signals when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _NOT_FOR_WORKERS)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

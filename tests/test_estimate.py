@@ -1,8 +1,10 @@
 """Numbers are written with the digits that mean something."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from labrun.estimate import Estimate, rounded
+from labrun.estimate import Estimate, outside_text, rounded
 
 
 @pytest.mark.parametrize(
@@ -16,3 +18,17 @@ from labrun.estimate import Estimate, rounded
 )
 def test_digits_are_those_that_the_interval_supports(value, ends, told):
     assert rounded(Estimate(value, ends, "rad/s")) == told
+
+
+@given(bound=st.floats(-1e6, 1e6), share=st.floats(1e-12, 1.0), above=st.booleans())
+def test_a_value_outside_its_bounds_is_never_written_as_one_inside(bound, share, above):
+    size = max(abs(bound), 1.0)
+    value = bound + share * size if above else bound - share * size
+    low, high = (bound - 10 * size, bound) if above else (bound, bound + 10 * size)
+    if not low <= value <= high:
+        assert not low <= float(outside_text(value, low, high)) <= high
+
+
+def test_a_value_far_outside_is_written_short():
+    assert outside_text(-0.25, -0.1, 0.95) == "-0.25"
+    assert outside_text(-0.1000312345, -0.1, 0.95) == "-0.10003"

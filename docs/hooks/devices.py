@@ -1,24 +1,26 @@
-"""The READMEs of the devices as pages of the site: a driver's folder stays whole, and its page is where one looks."""
+"""The READMEs of the devices as pages of the site: a driver's folder stays whole, and its page is where one looks.
 
+A page links to the README in the repository, where the link works as it stands; on the site it leads to the page.
+"""
+
+import posixpath
+import re
 from pathlib import Path
 from typing import Any
 
-from mkdocs.structure.files import File
-
 PLUGINS = Path(__file__).parents[2] / "plugins" / "labrun_plugins"
 _AT = "devices"
+_README = re.compile(r"\]\((?:\.\./)+(?:plugins/labrun_plugins/)?(\w+)/README\.md")
 
 
 def readmes() -> dict[str, Path]:
-    """Return the devices' READMEs by device; the simulated ones are no device of a bench."""
-    found = {path.parent.name: path for path in sorted(PLUGINS.glob("*/README.md"))}
-    found.pop("simulated", None)
-    return {name.replace("_", "-"): path for name, path in found.items()}
+    """Return the devices' READMEs by the names of their pages."""
+    return {path.parent.name.replace("_", "-"): path for path in sorted(PLUGINS.glob("*/README.md"))}
 
 
 def on_config(config: Any) -> Any:
     """Put the devices where the navigation says ``devices/*``."""
-    pages = [f"{_AT}/{name}.md" for name in readmes()]
+    pages = [f"{_AT}.md", *(f"{_AT}/{name}.md" for name in readmes())]
     for entry in config.nav:
         for title, inner in entry.items():
             if inner == f"{_AT}/*":
@@ -26,8 +28,21 @@ def on_config(config: Any) -> Any:
     return config
 
 
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Let links to a device's README lead to its page."""
+    here = posixpath.dirname(page.file.src_uri)
+
+    def to_page(link: re.Match[str]) -> str:
+        name = link[1].replace("_", "-")
+        return "](" + posixpath.relpath(f"{_AT}/{name}.md", here or ".")
+
+    return _README.sub(to_page, markdown)
+
+
 def on_files(files: Any, config: Any) -> Any:
     """Add one page a device."""
+    from mkdocs.structure.files import File  # noqa: PLC0415  (the tests import this file without mkdocs)
+
     for name, path in readmes().items():
         files.append(File.generated(config, f"{_AT}/{name}.md", content=path.read_text(encoding="utf-8")))
     return files

@@ -1,8 +1,8 @@
 """What every effect does to a simple rig: the pictures of effects.md, by `labrun.models.simulate` and the effects.
 
 A joint effect sits at the hinge of a pendulum that is driven and then left to itself, one of gear or drive at a joint
-with a position servo, as effects of a robot's base, tip and links do; a body effect at a body that is pushed to and fro
-through still water; an input or output effect at a signal with slow, fast and sudden parts.
+with a position servo, as effects of a robot's base, tip, links and controllers do; a body effect at a body that is
+pushed to and fro through still water; an input or output effect at a signal with slow, fast and sudden parts.
 """
 
 from collections.abc import Mapping
@@ -59,7 +59,7 @@ kv             = { value = 0.04,  unit = "N m s/rad" }
 gravity_torque = { value = 0.3,  unit = "N m" }
 [equations]
 angle = "rate"
-rate  = '''(force.joint + force.base + force.tip + force.link + kp*(goal - angle) - kv*rate
+rate  = '''(force.joint + force.base + force.tip + force.link + force.controller + kp*(goal - angle) - kv*rate
   - gravity_torque*sin(angle))/inertia'''
 [outputs]
 angle = { equation = "angle", unit = "rad" }
@@ -82,6 +82,10 @@ kind       = "link"
 coordinate = "gravity_torque^2*sin(angle)*cos(angle)"
 rate       = "rate"
 unit       = "rad"
+[sites.controller]
+kind       = "controller"
+coordinate = "gravity_torque*sin(angle)"
+rate       = "gravity_torque*sin(goal)"
 [initial]
 angle = 0.0
 rate  = 0.0
@@ -117,6 +121,8 @@ second = { equation = "other" }
 """
 _DPI = 140
 _TINTS = 48
+_SMALLER = 0.4
+"""The second size of an effect that starts at one, in units of the first."""
 _LARGEST = 3.0
 """The second size is at most so many times the first."""
 
@@ -146,7 +152,7 @@ def signature(effect: Effect) -> Signature:
     """Return what an effect does to the rig of its kind, at the first of its starts and towards the last of them."""
     driven = "drive" in effect.needs
     rig = rig_for("servo" if driven else effect.kind)
-    if effect.kind in ("base", "tip", "link"):
+    if effect.kind in ("base", "tip", "link", "controller"):
         rig = replace(rig_for("servo"), site=effect.kind)
     sizes = _at(effect, rig, 0), _at(effect, rig, -1)
     bare, first, second = (_output(rig, attached) for attached in ((), sizes[:1], sizes[1:]))
@@ -167,7 +173,7 @@ def rig_for(kind: str) -> Rig:
             force=0.4,
             period_s=1.25,
         )
-    if kind in ("servo", "base", "tip", "link"):
+    if kind in ("servo", "base", "tip", "link", "controller"):
         time_s = np.linspace(0.0, 8.0, 401)
         goal = 0.6 * np.sin(2 * np.pi * 0.8 * time_s) * (time_s < 5.0)
         servo = parse_model(_SERVO, "servo.toml")
@@ -221,8 +227,11 @@ def write_pictures(effects: Mapping[str, Effect], folder: Path) -> None:
 def _at(effect: Effect, rig: Rig, which: int) -> AttachedEffect:
     """Put an effect on the rig; only what can vanish changes with the size, its shape stays."""
     values = {}
+    sizes = [one for one in effect.parameters if one.neutral is not None]
+    alone = max((len(one.starts) for one in sizes), default=0) == 1
     for one in effect.parameters:
         starts = one.start_values(rig.scale)
+        starts = (starts[0], _SMALLER * starts[0]) if alone and one in sizes else starts
         most = _LARGEST * abs(
             starts[0]
         )  # friction above what drives the rig would only show that it stands still

@@ -32,6 +32,10 @@ KINDS = {
         "Links of robots",
         "The joint follows a sine for five seconds, then holds; its link, on which gravity acts, gives way.",
     ),
+    "controller": (
+        "Controllers of robots",
+        "The joint, on which gravity acts, follows a sine for five seconds, then holds; its controller adds a torque.",
+    ),
     "body": ("Bodies in a fluid", "The body is pushed to and fro for five seconds, then left to glide."),
     "input": ("Inputs", "The signal is what a model is given: a sine, then steps."),
     "output": ("Outputs", "The signal is what a model puts out: a sine, then steps."),

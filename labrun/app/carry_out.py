@@ -1,8 +1,6 @@
 """A run from its open rig to its picture, new or resumed; and how it ends early: stopped, journalled, resumable."""
 
 import json
-import signal
-import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -12,10 +10,10 @@ from typing import Any, Literal
 
 from labrun.devices import Excess
 from labrun.errors import ExperimentError, LabrunError, PlanError
+from labrun.interrupts import Interrupted, handled, number_of, signal_name
 from labrun.objectives import make_objective
 from labrun.report import RunView, counted, experiment_of
 from labrun.runner import (
-    Interrupted,
     LimitReached,
     MotionMaker,
     Person,
@@ -44,11 +42,13 @@ from labrun.search import (
     Searched,
     Verdict,
     at_settings,
+    combined_text,
     conditions,
     excess_at_settings,
     honest_best,
     levels_of,
     most_trials,
+    range_end_notes,
     read_generations,
     reason_lines,
     resume_line,
@@ -92,7 +92,7 @@ def carry_out(
     Raises
     ------
     Interrupted
-        Ctrl-C, or a request to terminate.
+        Ctrl-C, SIGTERM or SIGHUP.
     ExperimentError
         The experiment failed. As after an interrupt, the hint says how to go on. Or it came to its end without an
         answer, see `require_answer`: the data are packed.
@@ -105,7 +105,7 @@ def carry_out(
         if so_far is not None and so_far.take(outcome) and so_far.best is not None:
             progress.best(so_far.best.condition, so_far.best.value, unit)
 
-    with folder.lock(), resumable(folder), terminate_like_interrupt():
+    with handled() as interrupts, interrupts.held(), folder.lock(), resumable(folder):
         session = Session(
             experiment,
             rig,
@@ -127,7 +127,8 @@ def carry_out(
             done = counted(session.new_trials, "new trial")
             progress.note(f"stopped after {done}; to go on: {resume_line(folder.path)}")
             return _result(folder, best=None, figure=None, finished=False)
-        result = finish(folder, answer, progress, draw)
+        with interrupts.raising():
+            result = finish(folder, answer, progress, draw)
     return require_answer(result, experiment)
 
 
@@ -143,6 +144,8 @@ def measure_all(
     """Measure what the experiment asks for, name the honest best, and say how a search ended."""
     measures: Measures = session
     settings, goal = settings_of(experiment), experiment.goal
+    planner = Planner(experiment, rig, session.motions)
+    excess_of = excess_at_settings(planner.excess_of, settings)
     if experiment.over and goal is not None:
         measures = OverSettings(session, settings, experiment.combine, goal[1])
 
@@ -151,7 +154,7 @@ def measure_all(
             return None
         progress.phase("fresh repeats of the leaders")
         guests = [{**guest, **level} for guest in experiment.leaders.guests]
-        return honest_best(
+        best = honest_best(
             measures,
             found,
             objective=goal[0],
@@ -160,6 +163,10 @@ def measure_all(
             leaders=experiment.leaders,
             guests=guests,
         )
+        if best is None:
+            return None
+        ends = range_end_notes(experiment, best.parameters, excess_of)
+        return replace(best, range_ends=ends, combined=combined_text(experiment))
 
     def expect(trials: int | None) -> None:
         """Say how many trials there will be, here and to whoever watches the run from elsewhere."""
@@ -168,7 +175,6 @@ def measure_all(
 
     if experiment.cmaes is not None and experiment.kind == "cmaes":
         expect(most_trials(experiment, ()))
-        planner = Planner(experiment, rig, session.motions)
 
         def guarded(condition: Condition) -> list[Excess]:
             return [*planner.excess_of(condition), *guard_excesses(experiment, session.motions, condition)]
@@ -335,13 +341,17 @@ def fitted(
 
     progress.phase("fitting")
     try:
-        found = fit(result.run, results=result.run.parent.parent, workspace=workspace, note=progress.phase)
+        with handled() as interrupts, interrupts.raising():
+            found = fit(
+                result.run, results=result.run.parent.parent, workspace=workspace, note=progress.phase
+            )
     except LabrunError as error:
         progress.note(f"the run is kept, and could not be fitted: {error}")
         return result
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         raise Interrupted(
-            "interrupted by Ctrl-C: the run is finished and kept, its fit is not",
+            number_of(error),
+            ": the run is finished and kept, its fit is not",
             hint=f"labrun fit {result.run}",
         ) from None
     return replace(result, more=(*result.more, "", found.to_text(), ""))
@@ -381,16 +391,26 @@ def _result(folder: RunFolder, *, best: Best | None, figure: Path | None, finish
 
 
 @contextmanager
+def interruptible(state: str = " before anything moved or was written") -> Iterator[None]:
+    """Raise signals where they come in this block; `state` says what became of devices and data, see `Interrupted`."""
+    with handled() as interrupts:
+        try:
+            with interrupts.raising():
+                yield
+        except KeyboardInterrupt as signal:
+            raise Interrupted(number_of(signal), state) from None
+
+
+@contextmanager
 def resumable(folder: RunFolder, *, stopped: str = "actuators are stopped, ") -> Iterator[None]:
     """Journal why a run ended early, and tell the person how to go on."""
     try:
         yield
-    except KeyboardInterrupt as interrupt:  # between two measurements; during one the session sees to it
-        _journal_end(folder, "interrupted", "Ctrl-C")
-        message = f"interrupted by Ctrl-C: {stopped}{_saved(folder)}"
-        told = Interrupted(message, hint=_go_on(folder))
+    except KeyboardInterrupt as signal:  # between two measurements; during one the session sees to it
+        told = Interrupted(number_of(signal), f": {stopped}{_saved(folder)}", hint=_go_on(folder))
+        _journal_end(folder, "interrupted", signal_name(number_of(signal)))
         told.details.update(_so_far(folder))
-        raise told from interrupt
+        raise told from signal
     except LabrunError as error:
         _journal_end(folder, "interrupted" if isinstance(error, Interrupted) else "failed", str(error))
         saved = _saved(folder) if isinstance(error, PlanError) else f"{_saved(folder)}; {_go_on(folder)}"
@@ -433,20 +453,3 @@ def _so_far(folder: RunFolder) -> dict[str, Any]:
         return {"run": str(folder.path)}
     trials = {status: statuses.count(status) for status in ("done", "rejected", "failed")}
     return {"run": str(folder.path), "trials": trials}
-
-
-@contextmanager
-def terminate_like_interrupt() -> Iterator[None]:
-    """Let SIGTERM (a shutdown, a batch system) end a run as Ctrl-C does: actuators first, then the data."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(_signal: int, _frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

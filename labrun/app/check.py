@@ -6,7 +6,15 @@ from pathlib import Path
 
 from labrun.app.leaders import with_leaders
 from labrun.errors import PlanError, RequestError, SpecError
-from labrun.runner import ConditionExcess, MotionMaker, Plan, Planner, Rig, SimulatedClock
+from labrun.runner import (
+    ConditionExcess,
+    MotionMaker,
+    Plan,
+    Planner,
+    Rig,
+    SimulatedClock,
+    untared_objectives,
+)
 from labrun.search import (
     ConstraintError,
     allowed_points,
@@ -132,11 +140,20 @@ def whole_plan(
         chosen = at_settings(asked, settings_of(experiment))
     except ConstraintError as error:
         raise SpecError(f"{loaded.place(error.key)}: {error}") from error
+    columns_hz = 0.0
     if experiment.kind == "track":
         from labrun.control import loop_recorder  # compiled loops
 
-        loop_recorder(experiment, planner.rig).require_makeable(chosen)
-    found = _counted(planner.plan(chosen) if found is None else found, experiment, chosen, len(asked))
+        recorder = loop_recorder(experiment, planner.rig)
+        recorder.require_makeable(chosen)
+        columns_hz = recorder.columns_hz
+    found = _counted(
+        planner.plan(chosen, more_columns_hz=columns_hz) if found is None else found,
+        experiment,
+        chosen,
+        len(asked),
+    )
+    found = replace(found, notes=(*found.notes, *untared_objectives(experiment, planner.rig)))
     reference = experiment.trial.reference
     beside = at_settings(
         experiment.leaders.guests, at_settings(levels_of(experiment), settings_of(experiment))
@@ -208,6 +225,7 @@ def _counted(found: Plan, experiment: Experiment, chosen: Sequence[Condition], c
         time_s=found.time_s / found.trials * least,
         time_at_most_s=found.time_at_most_s / found.trials_at_most * most,
         disk_bytes=int(found.disk_bytes / found.trials * least),
+        disk_kept_bytes=int(found.disk_kept_bytes / found.trials * least),
         notes=notes,
     )
 

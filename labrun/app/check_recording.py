@@ -2,17 +2,18 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from labrun.app.diagnose_robot import joint_by_joint
-from labrun.app.question import held_against, load_held, named_model
-from labrun.errors import FitError
+from labrun.app.diagnose_robot import ROBOT, joint_by_joint, robot_of
+from labrun.app.question import ask, held_against, load_held, named_model
+from labrun.errors import FitError, RequestError
 from labrun.fit import Dataset, OutputsAlone, Problem, divergence_warnings, load_dataset
 from labrun.gap import require_informative, with_sound_clocks
+from labrun.logs import find_jumps
 from labrun.models import Model
 from labrun.report import aligned, counted, short_time_text
 from labrun.spec import condition_key
@@ -21,6 +22,11 @@ from labrun.store import Recording, find_data, is_recording, read_recording
 _TURNED_TOO_FAR = 2.2 * math.pi
 """An angle in rad beyond 1.1 turns may be one in degrees; logs of robots are asked the same."""
 _DEGREES = 400.0
+_TURNS = {"rad": 2 * math.pi, "deg": 360.0}
+_SLOWEST_S = 5.0
+"""Whole numbers of seconds that step by more are milliseconds more often than seconds."""
+_STILL, _STILL_RAD = 0.01, 0.02
+"""A joint stands still if it varies by less than this part of its range, or by less rad (m) where it has none."""
 _FAR_OFF = 3.0
 """A model is far from what was measured where it misses more than so many times what that varies by."""
 
@@ -122,19 +128,19 @@ def check_recording(target: str | Path, *, model: str | Path | None = None) -> C
         folder = find_data(target, Path("results"))
     recording = read_recording(folder)
     if model is None and not (folder / "model.toml").is_file():
-        data = load_dataset(folder, OutputsAlone(recording.outputs, recording.inputs))
-        require_informative(data)
+        data, remarks = checked_trials(
+            load_dataset(folder, OutputsAlone(recording.outputs, recording.inputs))
+        )
         return CheckedRecording(
             folder,
             recording,
             "",
             {},
-            (*_doubts(recording), *_clocks(data), "no model.toml beside it: only the recording was checked"),
+            (*doubts(recording), *remarks, "no model.toml beside it: only the recording was checked"),
             f"labrun fit {folder} --model FILE, or labrun check {folder} --model FILE",
         )
     loaded, signals = held_against(folder, None if model is None else named_model(model, Path()), Path())
-    data = load_held(folder, loaded, signals)
-    require_informative(data)
+    data, remarks = checked_trials(load_held(folder, loaded, signals))
     off, said = _held(loaded, data)
     named = "" if model is None else f" --model {model}"
     return CheckedRecording(
@@ -142,9 +148,39 @@ def check_recording(target: str | Path, *, model: str | Path | None = None) -> C
         recording,
         loaded.name,
         off,
-        (*_doubts(recording), *_clocks(data), *said, *_of_robot(folder, model)),
+        (*doubts(recording), *remarks, *said, *_of_robot(folder, model)),
         f"labrun gap diagnose {folder}{named}",
     )
+
+
+def require_near(target: str | Path, *, results: str | Path = "results") -> None:
+    """Raise RequestError if a robot as stated misses a joint that goals move by far more than it moves.
+
+    A wrong unit, sign or column explains that more often than physics that is missing. Joints driven by a torque are
+    not looked at: nothing holds a simulated robot where the measured one was.
+    """
+    folder = find_data(target, Path(results))
+    if not (folder / ROBOT).is_file() or not (folder / "model.toml").is_file():
+        return
+    question = ask(folder, None)
+    robot = robot_of(folder, question.dataset)
+    goals = {one.joint for one in robot.actuators if one.command in ("position", "velocity")}
+    still = {
+        joint.output: _STILL * (joint.range[1] - joint.range[0]) if joint.range else _STILL_RAD
+        for joint in robot.joints
+        if joint.name in goals
+    }
+    off, _ = _held(question.model, question.dataset)
+    far = [
+        f"{name} is simulated {missed / spread:.2g} times as far off as it moves"
+        for name, (missed, spread) in off.items()
+        if spread > still.get(name, math.inf) and missed > _FAR_OFF * spread
+    ]
+    if far:
+        raise RequestError(
+            f"{'; '.join(far)}: a wrong unit, sign, zero or column explains that more often than physics",
+            hint=f"labrun check {folder} shows each joint; --anyway diagnoses it as it is",
+        )
 
 
 def _channels(recording: Recording) -> Iterator[tuple[str, str, str, float, float]]:
@@ -156,18 +192,55 @@ def _channels(recording: Recording) -> Iterator[tuple[str, str, str, float, floa
             yield info.name, kind, info.unit, float(np.min(values)), float(np.max(values))
 
 
-def _doubts(recording: Recording) -> Iterator[str]:
+def checked_trials(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
+    """Return the trials that can be fitted, and in sentences what was found of their clocks.
+
+    Raises
+    ------
+    RecordingError
+        An output does not move, or time jumps in every trial.
+    """
+    require_informative(data)
+    checked = with_sound_clocks(data)
+    excluded = len(data.trials) - len(checked.dataset.trials)
+    return (
+        replace(checked.dataset, left_out=data.left_out + excluded),
+        (*checked.limitations, *checked.notes),
+    )
+
+
+def doubts(recording: Recording) -> Iterator[str]:
     """Yield what numbers alone make doubtful."""
     for name, kind, unit, low, high in _channels(recording):
         if unit == "rad" and _TURNED_TOO_FAR < max(-low, high) < _DEGREES:
             yield f"{name} is said to be in rad and reaches {max(-low, high):.4g}: is it in degrees?"
         if kind == "input" and low == high:
             yield f"{name} is {low:.4g} throughout: nothing was told to move, or another column was meant"
+    yield from _jumps(recording)
+    steps = [float(np.median(np.diff(trial.time_s))) for trial in recording.trials if len(trial.time_s) > 2]
+    whole = all(bool(np.all(trial.time_s == np.round(trial.time_s))) for trial in recording.trials)
+    if steps and whole and min(steps) > _SLOWEST_S:
+        yield f"time_s steps by {min(steps):.4g} s in whole numbers: are they milliseconds?"
 
 
-def _clocks(data: Dataset) -> tuple[str, ...]:
-    checked = with_sound_clocks(data)
-    return (*checked.limitations, *checked.notes)
+def _jumps(recording: Recording) -> Iterator[str]:
+    """Yield where an angle jumps by whole turns from one sample to the next."""
+    for kind, infos in (("inputs", recording.inputs), ("outputs", recording.outputs)):
+        for place, info in enumerate(infos):
+            if info.unit not in _TURNS:
+                continue
+            turn = _TURNS[info.unit]
+            jumps = [
+                (trial.source_file.name, jump)
+                for trial in recording.trials
+                for jump in find_jumps(getattr(trial, kind)[:, place], (turn,))
+            ]
+            if jumps:
+                file, jump = jumps[0]
+                yield (
+                    f"{info.name} jumps by {turn:.4g} {info.unit} between two samples {len(jumps)} "
+                    f"time{'s' * (len(jumps) != 1)}, first at line {jump.row + 2} of {file}: did its counter wrap?"
+                )
 
 
 def _held(model: Model, data: Dataset) -> tuple[dict[str, tuple[float, float]], list[str]]:

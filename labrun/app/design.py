@@ -11,10 +11,10 @@ import numpy as np
 from labrun.app.carry_out import (
     Answer,
     finish,
+    interruptible,
     require_answer,
     resumable,
     source_of,
-    terminate_like_interrupt,
 )
 from labrun.design import (
     MADE,
@@ -29,6 +29,7 @@ from labrun.design import (
     written_experiment,
 )
 from labrun.errors import PlanError, RequestError
+from labrun.interrupts import handled
 from labrun.objectives import make_objective
 from labrun.report import counted
 from labrun.runner import Plan, Progress, SearchSpace, SilentProgress
@@ -101,7 +102,8 @@ def design(
     """
     loaded = experiment
     if not isinstance(loaded, LoadedExperiment):
-        loaded = load_named(str(experiment), Path(workspace), overrides, kind="design")
+        with interruptible():
+            loaded = load_named(str(experiment), Path(workspace), overrides, kind="design")
     if not dry_run:
         raise RequestError(
             f"{loaded.name} is a design: its trials are simulations, and nothing of it runs on a bench",
@@ -109,11 +111,16 @@ def design(
         )
     if seed is None:
         seed = int(np.random.default_rng().integers(2**32))
-    with SilentProgress() if progress is None else progress as told:
+    with (
+        handled() as interrupts,
+        interrupts.held(),
+        SilentProgress() if progress is None else progress as told,
+    ):
         told.phase("checking the design")
-        simulator = simulator_of(loaded.experiment, loaded.path)
-        share = require_simulable(simulator)
-        texts = _templates(loaded.experiment, loaded.path, Path(workspace))
+        with interruptible():
+            simulator = simulator_of(loaded.experiment, loaded.path)
+            share = require_simulable(simulator)
+            texts = _templates(loaded.experiment, loaded.path, Path(workspace))
         origin = {
             **collect(loaded.path.resolve().parent, seed=seed),
             **source_of(loaded.path),
@@ -151,6 +158,7 @@ def design_plan(loaded: LoadedExperiment) -> Plan:
         time_at_most_s=0.0,
         settle_s=0.0,
         disk_bytes=0,
+        disk_kept_bytes=0,
         peaks=(),
         rates_hz={},
         space=SearchSpace(_PROBES, share, (), ()),
@@ -186,7 +194,7 @@ def go_on(
         raise PlanError("a design needs an objective with a goal")
     name, direction = goal
     search = folder.path / "search"
-    with folder.lock(), resumable(folder, stopped=""), terminate_like_interrupt():
+    with handled() as interrupts, folder.lock(), resumable(folder, stopped=""), interrupts.raising():
         with _opened(workers, cluster) as found:
             candidates = Candidates(
                 simulator, folder, found,

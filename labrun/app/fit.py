@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from labrun import registry
+from labrun.app.check_recording import checked_trials, doubts
 from labrun.app.kept import kept_folder, stem_of
 from labrun.app.question import declared_plan, fit_plan, named_model
 from labrun.errors import RequestError
-from labrun.fit import GROUP, FitJob, FitPlan, FitSummary, Note, is_method, make_method, silent
+from labrun.fit import GROUP, Dataset, FitJob, FitPlan, FitSummary, Note, is_method, make_method, silent
 from labrun.models import load_model, shipped_models
 from labrun.report import fit_figure, save_figure
 from labrun.spec import apply_overrides, find_model_file, load_named
-from labrun.store import find_data, is_recording, replace_durably, require_writable
+from labrun.store import find_data, is_recording, read_recording, replace_durably, require_writable
 from labrun.toml import nearest
 
 
@@ -95,7 +96,16 @@ def fit(
     note(f"reading {folder}")
     wired = {**plan.signals, **(signals or {})}
     rng = np.random.default_rng(seed or 0)
-    result = way(FitJob(folder, rng, further, given or plan.model, wired, starts, note, plan.settings_of))
+    remarks: list[str] = list(doubts(read_recording(folder))) if is_recording(folder) else []
+
+    def check(data: Dataset) -> Dataset:
+        kept, told = checked_trials(data)
+        remarks.extend(told)
+        return kept
+
+    job = FitJob(folder, rng, further, given or plan.model, wired, starts, note, plan.settings_of, check)
+    result = way(job)
+    result = replace(result, warnings=(*dict.fromkeys(remarks), *result.warnings))
     note("drawing")
     kept.mkdir(parents=True, exist_ok=True)
     stem = stem_of(result.model_name if result.method == "model" else result.method)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from labrun.errors import RequestError
 from labrun.report import experiment_of
@@ -23,6 +22,7 @@ from labrun.spec import (
     loads_experiment,
 )
 from labrun.store import TrialOutcome, find_run, is_finished, mean_truncation, open_run
+from labrun.toml import written_in_order
 
 
 def with_leaders(loaded: LoadedExperiment, results: Path, *, planned: bool = False) -> LoadedExperiment:
@@ -59,7 +59,7 @@ def with_leaders(loaded: LoadedExperiment, results: Path, *, planned: bool = Fal
         tree["leaders"]["beside"], tree["leaders"]["taken_from"] = _taken(
             beside, loaded, results, planned=planned
         )
-    made = loads_experiment(tomli_w.dumps(tree), loaded.name)
+    made = loads_experiment(written_in_order(tree), loaded.name)
     return replace(made, path=loaded.path, origins=loaded.origins)
 
 

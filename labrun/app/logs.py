@@ -1,36 +1,100 @@
-"""A log of a robot and its description, made into a recording."""
+"""A log of a robot and its description, made into a recording, or shown as it would be read."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 
 from labrun.app.question import named_model
-from labrun.errors import RecordingError, RequestError
+from labrun.errors import LabrunError, RecordingError, RequestError
 from labrun.logs import (
+    HEADER,
     LEAST_SAMPLES,
     LEAST_TRIAL_S,
-    TICKS,
+    NOT,
+    SCALES,
+    AskedUnits,
+    ChannelPreview,
+    Finding,
     LogTable,
+    Match,
     Piece,
+    Question,
+    ReadOptions,
+    StampSource,
+    Statement,
     Stream,
-    Unit,
     Wanted,
+    align_clocks,
+    check_ranges,
+    correct_turns,
     cut,
-    in_si,
+    decide_units,
+    in_no_trial,
+    joined,
     matched,
+    motions,
+    numbered,
     plain,
+    previews,
+    questions,
     read_log,
+    require_answered,
+    require_free,
+    statements,
     table_of,
     unusable,
+    unused,
     write_recording,
 )
 from labrun.models import Model, Robot, is_robot, load_model, read_robot, robot_table
+from labrun.report import aligned
 
 _STILL = 0.05
 """A trial begins at rest if nothing is faster there than this share of its greatest speed."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogAnswers:
+    """What a person said of a log; each is the text of its flag.
+
+    Attributes
+    ----------
+    mapping
+        ``CHANNEL=COLUMN``: which column of the log a channel, joint or actuator is; ``none`` for none.
+    units
+        ``UNIT`` for all angles, or ``JOINT=UNIT``: ``rad``, ``deg``, ``ticks`` (of 4096 a turn, or ``ticks:16384``),
+        ``normalised``, ``percent``, ``m``, ``mm``; ``CHANNEL=A:0.9`` of a torque, N m per ampere.
+    zeros
+        ``JOINT=NUMBER``: what the log reads where the model has zero.
+    publishers
+        ``TOPIC=NUMBER``: which of several writers of a topic counts.
+    times
+        ``COLUMN`` or ``ARRAY=COLUMN``: which column holds the time.
+    time_unit
+        Of columns of time: ``s``, ``ms``, ``us`` or ``ns``.
+    stamps
+        ``own`` or ``receipt``: which stamps of messages count.
+    rate_hz
+        Of samples without stamps.
+    cut_s
+        Length of the trials; episodes, or pieces between rests, if None.
+    repair
+        Whether inertias that no body can have are replaced by the nearest possible ones.
+    """
+
+    mapping: Sequence[str] = ()
+    units: Sequence[str] = ()
+    zeros: Sequence[str] = ()
+    publishers: Sequence[str] = ()
+    times: Sequence[str] = ()
+    time_unit: str | None = None
+    stamps: str | None = None
+    rate_hz: float | None = None
+    cut_s: float | None = None
+    repair: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,35 +132,98 @@ class ImportedLog:
         return "\n".join([*lines, *self.remarks, f"wrote {self.folder}"])
 
 
+@dataclass(frozen=True, slots=True)
+class LogPreview:
+    """What an import would read, and what it asks; nothing was written.
+
+    Attributes
+    ----------
+    channels
+        A row for each channel and log.
+    trials, duration_s
+        How many there would be, and how long together.
+    remarks
+        What was found and would be done.
+    questions
+        What has to be answered first.
+    """
+
+    channels: tuple[ChannelPreview, ...]
+    trials: int
+    duration_s: float
+    remarks: tuple[str, ...]
+    questions: tuple[Question, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields by name."""
+        return {
+            "channels": [channel.to_json() for channel in self.channels], "trials": self.trials,
+            "duration_s": self.duration_s, "remarks": list(self.remarks),
+            "questions": [
+                {"text": one.text, "proposal": one.proposal or None, "answers": one.answers} for one in self.questions
+            ],
+        }  # fmt: skip
+
+    def to_text(self) -> str:
+        """Return the table, the statements and the questions."""
+        lines = aligned([list(HEADER), *(channel.cells() for channel in self.channels)])
+        lines.append(f"{self.trials} trial{'s' * (self.trials != 1)}, {self.duration_s:.4g} s")
+        lines += self.remarks
+        lines += [f"question: {question.to_text()}" for question in self.questions]
+        end = "answer the questions, or copy their proposals" if self.questions else "no question is open"
+        return "\n".join([*lines, f"nothing was written; {end}"])
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """All that was read of the logs, with proposals in place of answers that are missing.
+
+    Attributes
+    ----------
+    logs
+        The matches of each log.
+    table
+        None where nothing can be put together before a question is answered.
+    """
+
+    robot: Robot | None
+    logs: list[list[Match]]
+    columns: tuple[str, ...]
+    table: LogTable | None
+    trials: list[Piece]
+    motions: list[str]
+    findings: list[Finding]
+
+    def duration_s(self) -> float:
+        if self.table is None:
+            return 0.0
+        time_s = self.table.time_s
+        return sum(float(time_s[piece.end - 1] - time_s[piece.first]) for piece in self.trials)
+
+
 def import_log(
-    log: str | Path,
+    log: str | Path | Sequence[str | Path],
     model: str | Path,
     to: str | Path | None = None,
     *,
+    answers: LogAnswers | None = None,
     mapping: Sequence[str] = (),
-    unit: str | None = None,
+    unit: str | Sequence[str] | None = None,
     cut_s: float | None = None,
     rate_hz: float | None = None,
 ) -> ImportedLog:
-    """Make a recording of a robot's log: its columns matched by name, its stamps repaired, cut into trials.
+    """Make a recording of a robot's logs: columns matched by name, stamps and turns repaired, cut into trials.
 
     Parameters
     ----------
     log
-        What `labrun.logs.read_log` reads.
+        What `labrun.logs.read_log` reads; several logs of one robot become one recording, the log in its conditions.
     model
         An MJCF or URDF file, or a model.
     to
         The folder to write; ``recordings/<log>`` if None.
-    mapping
-        ``CHANNEL=COLUMN``: which column of the log a channel, joint or actuator is; ``none`` for none.
-    unit
-        Of the log's angles: ``rad``, ``deg``, ``ticks`` (of 4096 a turn, or ``ticks:16384``), ``normalised``; told
-        from their range if None.
-    cut_s
-        Length of the trials; at rests if None.
-    rate_hz
-        Of samples without stamps.
+    answers
+        What a person said; the parameters after it stand for its fields of these names.
 
     Raises
     ------
@@ -105,63 +232,204 @@ def import_log(
     RecordingError
         The log cannot be read or repaired.
     """
-    log, model = Path(log).expanduser(), Path(model).expanduser()
-    folder = _free(Path("recordings") / log.stem) if to is None else Path(to)
-    unit, ticks = _unit(unit)
-    if cut_s is not None and not cut_s > 0:
-        raise RequestError(f"trials cannot be {cut_s:g} s long")
-    asked = _asked(mapping)
-    streams = read_log(log, rate_hz)
-    robot = _driven(model, streams, asked) if is_robot(model) else None
-    loaded = None if robot else named_model(model, Path())
-    found, said = matched(_of_robot(robot) if robot else _of_model(loaded), streams, asked)
-    matches, units = in_si(found, unit, ticks)  # type: ignore[arg-type]
-    table, repairs = table_of(matches)
-    bad = list(unusable(table))
-    trials, how = cut(table, cut_s, [piece for piece, _ in bad])
-    if not trials:
-        short = f"no trial would be {LEAST_TRIAL_S:g} s and {LEAST_SAMPLES} samples long"
-        raise RecordingError(
-            f"nothing of {log} can be used: {'; '.join(dict.fromkeys([*(why for _, why in bad), short]))}",
-            hint="cut longer trials: --cut 10s" if cut_s is not None else None,
-        )
-    remarks = [
-        *(robot.remarks if robot else ()),
-        *said,
-        *(_unused(robot, streams, [one.column.name for one in matches if one.column]) if robot else ()),
-        *units,
-        *repairs,
-        *_left_out(table, bad),
-        f"cut {how}",
-    ]
-    if robot is not None:
-        measured = [
-            one.wanted.channel for one in matches if one.wanted.kind == "output" and one.column is not None
-        ]
-        start = "rest" if _at_rest(table, trials) else "free"
-        text = robot_table(robot, xml_file="robot.xml", start=start, measured=measured)  # type: ignore[arg-type]
-        files = {"robot.xml": robot.xml, "model.toml": f"# from {model.name}\n{text}"}
-    else:
-        source = model.resolve() if model.is_file() else model
-        files = {"model.toml": f'base = "{source}"\n'}
-    write_recording(folder, folder.resolve().name, table, trials, remarks, files)
-    if robot is not None:
+    paths, model = _paths(log), Path(model).expanduser()
+    folder = _free(Path("recordings") / paths[0].stem) if to is None else Path(to)
+    require_free(folder)
+    reading = _read(paths, model, _answers(answers, mapping, unit, cut_s, rate_hz))
+    require_answered(reading.findings, reading.columns)
+    if reading.table is None:
+        raise RecordingError(f"nothing of {', '.join(map(str, paths))} can be used")
+    remarks = statements(reading.findings)
+    write_recording(
+        folder, folder.resolve().name, reading.table, reading.trials, reading.motions, _names(paths), remarks,
+        _model_files(reading, model),
+    )  # fmt: skip
+    if reading.robot is not None:
         load_model(folder / "model.toml")
-    length = sum(float(table.time_s[piece.end - 1] - table.time_s[piece.first]) for piece in trials)
-    shown = tuple((one.wanted.channel, one.column.name if one.column else "none") for one in matches)
-    return ImportedLog(folder, shown, len(trials), length, tuple(remarks))
+    columns: dict[str, list[str]] = {}
+    for match in (match for matches in reading.logs for match in matches):
+        columns.setdefault(match.wanted.channel, []).append(match.column.name if match.column else "none")
+    shown = tuple((channel, ", ".join(dict.fromkeys(names))) for channel, names in columns.items())
+    return ImportedLog(folder, shown, len(reading.trials), reading.duration_s(), tuple(remarks))
 
 
-def _unit(text: str | None) -> tuple[str | None, int]:
-    """Return the unit, and how many ticks a turn has."""
-    unit, colon, ticks = (text or "").partition(":")
-    if text is None or (not colon and unit in get_args(Unit)):
-        return text, TICKS
-    if unit == "ticks" and ticks.isdigit() and int(ticks) > 1:
-        return unit, int(ticks)
-    raise RequestError(
-        f"{text!r} is no unit of angles", hint=f"one of {', '.join(get_args(Unit))}, or ticks:16384"
+def preview_log(
+    log: str | Path | Sequence[str | Path], model: str | Path, *, answers: LogAnswers | None = None
+) -> LogPreview:
+    """Return what `import_log` would read of a log, with its statements and open questions; write nothing.
+
+    Raises
+    ------
+    RequestError, RecordingError
+        The log or the model cannot be read at all.
+    """
+    paths, model = _paths(log), Path(model).expanduser()
+    reading = _read(paths, model, answers or LogAnswers())
+    used = [0] * len(paths)
+    for piece in reading.trials if reading.table is not None else ():
+        used[int(reading.table.log[piece.first])] += piece.end - piece.first  # type: ignore[union-attr]
+    rows = tuple(previews(reading.logs, used))
+    said = tuple(statements(reading.findings))
+    return LogPreview(
+        rows, len(reading.trials), reading.duration_s(), said, tuple(questions(reading.findings))
     )
+
+
+def _paths(log: str | Path | Sequence[str | Path]) -> list[Path]:
+    given = [log] if isinstance(log, str | Path) else list(log)
+    if not given:
+        raise RequestError("no log was given", hint="--log run.mcap")
+    return [Path(path).expanduser() for path in given]
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Return what tells logs apart: their names, numbered where they are alike."""
+    names = [path.name for path in paths]
+    return [
+        f"{name} ({names[: place + 1].count(name)})" if names.count(name) > 1 else name
+        for place, name in enumerate(names)
+    ]
+
+
+def _answers(
+    answers: LogAnswers | None,
+    mapping: Sequence[str],
+    unit: str | Sequence[str] | None,
+    cut_s: float | None,
+    rate_hz: float | None,
+) -> LogAnswers:
+    given = answers or LogAnswers()
+    units = () if unit is None else [unit] if isinstance(unit, str) else unit
+    return replace(
+        given,
+        mapping=[*given.mapping, *mapping],
+        units=[*given.units, *units],
+        cut_s=given.cut_s if cut_s is None else cut_s,
+        rate_hz=given.rate_hz if rate_hz is None else rate_hz,
+    )
+
+
+def _read(paths: Sequence[Path], model: Path, answers: LogAnswers) -> _Reading:
+    """Read all logs and take every step that leads to trials; a question's proposal stands in for its answer."""
+    if answers.cut_s is not None and not answers.cut_s > 0:
+        raise RequestError(
+            f"invalid length of trials {answers.cut_s:g} s for --cut; write for example --cut 10s"
+        )
+    asked, units = _asked(answers.mapping), AskedUnits.parsed(answers.units, answers.zeros)
+    options = ReadOptions(answers.rate_hz, _time_unit(answers.time_unit), _times(answers.times))
+    publishers = _publishers(answers.publishers)
+    logs = [read_log(path, options, publishers) for path in paths]
+    streams = [stream for log in logs for stream in log]
+    findings: list[Finding] = [finding for stream in streams for finding in stream.findings]
+    robot = _driven(model, streams, asked, repair=answers.repair) if is_robot(model) else None
+    wanted = _of_robot(robot) if robot else _of_model(named_model(model, Path()))
+    findings = [*map(Statement, robot.remarks if robot else ()), *findings]
+    answered = _without_absent_drives(asked, wanted, robot)
+    matches: list[list[Match]] = []
+    for log in logs:
+        pairs, told = matched(wanted, log, _within(answered, log, streams))
+        matches.append(pairs)
+        findings += [*told, *unused(pairs, log)]
+    if robot:
+        findings += _undriven(robot, streams, matches, asked)
+    matches, told = decide_units(matches, units)
+    findings += told
+    for place, pairs in enumerate(matches):
+        pairs, clocks = align_clocks(pairs, _stamps(answers.stamps))  # noqa: PLW2901
+        matches[place], turns = correct_turns(pairs)
+        findings += [*clocks, *turns]
+    findings += check_ranges(matches)
+    columns = tuple(sorted({column.name for stream in streams for column in stream.columns}))
+    try:
+        tables = []
+        for pairs in matches:
+            table, told = table_of(pairs)
+            tables.append(table)
+            findings += told
+        whole = joined(tables)
+        bad = list(unusable(whole))
+        trials, how = cut(whole, answers.cut_s, [piece for piece, _ in bad])
+        if not trials:
+            short = f"no trial would be {LEAST_TRIAL_S:g} s and {LEAST_SAMPLES} samples long"
+            raise RecordingError(
+                f"nothing of {', '.join(map(str, paths))} can be used: "
+                f"{'; '.join(dict.fromkeys([*(why for _, why in bad), short]))}",
+                hint="cut longer trials: --cut 10s" if answers.cut_s is not None else None,
+            )
+    except LabrunError:
+        if not questions(findings):
+            raise
+        return _Reading(robot, matches, columns, None, [], [], findings)
+    lost = in_no_trial(whole, trials, [piece for piece, _ in bad])
+    names, trials, trimmed = motions(whole, trials)
+    findings += [*map(Statement, _left_out(whole, bad)), Statement(f"cut {how}"), *lost, *trimmed]
+    return _Reading(robot, matches, columns, whole, trials, names, findings)
+
+
+def _without_absent_drives(
+    asked: Mapping[str, str], wanted: Sequence[Wanted], robot: Robot | None
+) -> dict[str, str]:
+    """Return the answers without those that a joint gets no drive: it has no such channel then."""
+    channels = {plain(channel.channel) for channel in wanted}
+    joints = () if robot is None else robot.joints
+    drives = {
+        plain(f"{joint.output}_{kind}") for joint in joints for kind in ("command", "torque")
+    } - channels
+    return {name: value for name, value in asked.items() if value != NOT or plain(name) not in drives}
+
+
+def _within(asked: Mapping[str, str], log: Sequence[Stream], streams: Sequence[Stream]) -> dict[str, str]:
+    """Return the answers that are about one of several logs: not those that name a column of another."""
+
+    def names(some: Sequence[Stream]) -> set[str]:
+        return {plain(name) for stream in some for one in stream.columns for name in (one.name, one.stem)}
+
+    own, every = names(log), names(streams)
+    return {key: value for key, value in asked.items() if plain(value) in own or plain(value) not in every}
+
+
+def _time_unit(text: str | None) -> str | None:
+    if text is not None and text not in SCALES:
+        raise RequestError(f"--time-unit {text}: one of {', '.join(SCALES)} was expected")
+    return text
+
+
+def _stamps(text: str | None) -> StampSource | None:
+    if text in (None, *get_args(StampSource)):
+        return cast("StampSource | None", text)
+    raise RequestError(f"--stamps {text}: own or receipt was expected")
+
+
+def _times(given: Sequence[str]) -> dict[str, str]:
+    times = {}
+    for text in given:
+        array, _, column = text.rpartition("=")
+        times[array.strip()] = column.strip()
+    return times
+
+
+def _publishers(given: Sequence[str]) -> dict[str, int]:
+    chosen = {}
+    for text in given:
+        topic, equals, number = text.rpartition("=")
+        if not (equals and topic.strip() and number.strip().isdigit()):
+            raise RequestError(
+                f"--publisher {text}: a topic and a number were expected", hint="--publisher /joint_states=2"
+            )
+        chosen[topic.strip()] = int(number)
+    return chosen
+
+
+def _model_files(reading: _Reading, model: Path) -> dict[str, str]:
+    """Return the model's files that stand beside the trials."""
+    robot, table = reading.robot, reading.table
+    if robot is None or table is None:
+        source = model.resolve() if model.is_file() else model
+        return {"model.toml": f'base = "{source}"\n'}
+    measured = [table.wanted[place].channel for place in table.recorded("output")]
+    start = "rest" if _at_rest(table, reading.trials) else "free"
+    text = robot_table(robot, xml_file="robot.xml", start=start, measured=measured)  # type: ignore[arg-type]
+    return {"robot.xml": robot.xml, "model.toml": f"# from {model.name}\n{text}"}
 
 
 def _asked(mapping: Sequence[str]) -> dict[str, str]:
@@ -174,58 +442,80 @@ def _asked(mapping: Sequence[str]) -> dict[str, str]:
     return asked
 
 
-def _driven(path: Path, streams: Sequence[Stream], asked: Mapping[str, str]) -> Robot:
+def _driven(path: Path, streams: Sequence[Stream], asked: Mapping[str, str], *, repair: bool) -> Robot:
     """Return the robot, with an actuator at each joint that has none and whose command the log holds."""
-    robot = read_robot(path)
-    moved = {one.joint for one in robot.actuators}
+    robot = read_robot(path, repair=repair)
+    moved = {actuator.joint for actuator in robot.actuators}
     columns = [column for stream in streams for column in stream.columns]
+    answered = {plain(name): value for name, value in asked.items()}
     drives: dict[str, Any] = {}
     for joint in robot.joints:
-        names = {plain(joint.name), plain(asked.get(joint.name, joint.name))}
-        roles = {column.role for column in columns if plain(column.stem) in names}
-        told = {plain(name) for name in asked}
         if joint.name in moved:
             continue
-        if "command" in roles or plain(f"{joint.output}_command") in told:
-            drives[joint.name] = "position"
-        elif roles & {"torque", "torque-command"} or plain(f"{joint.output}_torque") in told:
+        names = {plain(joint.name), plain(asked.get(joint.name, joint.name))}
+        roles = {column.role for column in columns if plain(column.stem) in names}
+        command, torque = (answered.get(plain(f"{joint.output}_{kind}")) for kind in ("command", "torque"))
+        if torque not in (None, NOT):
             drives[joint.name] = "torque"
-    return read_robot(path, drives) if drives else robot
+        elif command not in (None, NOT) or ("command" in roles and command != NOT):
+            drives[joint.name] = "position"
+        elif roles & {"torque", "torque-command"} and torque != NOT:
+            drives[joint.name] = "torque"
+    return read_robot(path, drives, repair=repair) if drives else robot
 
 
-def _unused(robot: Robot, streams: Sequence[Stream], used: Sequence[str]) -> list[str]:
-    """Return what the log tells that nothing of the robot takes, where joints without an actuator are."""
-    moved = {one.joint for one in robot.actuators}
-    free = [one.output for one in robot.joints if one.name not in moved]
+def _undriven(
+    robot: Robot, streams: Sequence[Stream], logs: Sequence[Sequence[Match]], asked: Mapping[str, str]
+) -> list[Finding]:
+    """Return what is asked and said of what the log tells where joints without an actuator are."""
+    moved = {actuator.joint for actuator in robot.actuators}
+    free = [joint.output for joint in robot.joints if joint.name not in moved]
     if not free:
         return []
-    roles = ("command", "torque-command", "velocity-command")
-    columns = [one for stream in streams for one in stream.columns if one.name not in used]
-    left = [one.name for one in columns if one.role in roles]
-    said = (
-        [
+    used = {match.column.name for log in logs for match in log if match.column is not None}
+    pairs = [(stream, one) for stream in streams for one in stream.columns if one.name not in used]
+    findings: list[Finding] = []
+    answered = {plain(name) for name in asked}
+    kinds: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+        ("torque", "torque", ("torque", "torque-command")), ("goal of a servo", "command", ("command",)),
+    )  # fmt: skip
+    for kind, suffix, roles in kinds:
+        own = [(stream, one) for stream, one in pairs if one.role in roles]
+        for place, joint in enumerate(robot.joints):
+            pair = numbered(place, len(robot.joints), own)
+            if joint.output not in free or pair is None or plain(f"{joint.output}_{suffix}") in answered:
+                continue
+            flag = f"--map {joint.output}_{suffix}"
+            text = (
+                f"the file has no actuator at {joint.output}; by its number {pair[1].name} may be the {kind}"
+            )
+            findings.append(Question(text, f"{flag}={pair[1].name}", f"{flag}={NOT}", joint.output))
+        if findings:
+            return findings
+    left = [one.name for _, one in pairs if one.role in ("command", "torque-command", "velocity-command")]
+    if left:
+        text = (
             f"{', '.join(left)} is not used: the file has no actuator at {', '.join(free)}; "
             f"--map {free[0]}_command={left[0]} makes it the goal of a servo of unknown gains there"
-        ]
-        if left
-        else []
-    )
-    unknown = [one.name for one in columns if one.role == "unknown"]
-    for joint in free:
-        near = next((one for one in unknown if plain(joint) in plain(one)), None)
+        )
+        findings.append(Statement(text))
+    unknown = [one.name for _, one in pairs if one.role in ("unknown", "current", "torque")]
+    for output in free:
+        near = next((name for name in unknown if plain(output) in plain(name)), None)
         if near is not None:
-            said.append(
-                f"{near} is not used: it names neither goal nor torque; --map {joint}_torque={near} makes it the "
-                f"torque at {joint}, where the file has no actuator"
+            text = (
+                f"{near} is not used: it names neither goal nor torque; --map {output}_torque={near} makes it the "
+                f"torque at {output}, where the file has no actuator"
             )
-    return said
+            findings.append(Statement(text, output))
+    return findings
 
 
 def _of_robot(robot: Robot) -> list[Wanted]:
     roles: dict[str, tuple[Any, ...]] = {
         "position": ("command",), "velocity": ("velocity-command", "command"),
-        "torque": ("torque-command", "torque", "command"),
-        **dict.fromkeys(("geared", "other"), ("command", "torque-command", "torque")),
+        "torque": ("torque-command", "torque", "current", "command"),
+        **dict.fromkeys(("geared", "other"), ("command", "torque-command", "torque", "current")),
     }  # fmt: skip
     outputs = [
         Wanted(
@@ -254,6 +544,7 @@ def _of_model(model: Model | None) -> list[Wanted]:
         "velocity-command",
         "unknown",
         "torque",
+        "current",
         "position",
     )
     inputs = [Wanted(one.name, one.unit, "input", (one.name,), commands) for one in model.inputs]
@@ -271,11 +562,9 @@ def _left_out(table: LogTable, bad: Sequence[tuple[Piece, str]]) -> list[str]:
 
 def _at_rest(table: LogTable, trials: Sequence[Piece]) -> bool:
     """Tell whether every trial begins at rest, as far as its first tenth of a second shows it through the noise."""
-    period = float(np.median(np.diff(table.time_s)))
+    period = table.period_s
     count = max(5, round(0.1 / period))
-    for place, match in enumerate(table.matches):
-        if match.wanted.kind == "input" or match.column is None:
-            continue
+    for place in table.recorded("output"):
         course = table.values[:, place]
         fastest = float(np.quantile(np.abs(np.gradient(course, table.time_s)), 0.99))
         noise = float(np.median(np.abs(np.diff(course))))

@@ -47,7 +47,7 @@ def rank(
         A run that is not there, no trial that counts, an unknown objective, or conditions that are no gaits.
     """
     results = Path(results)
-    told, outcomes, experiment = _run(field, results)
+    told, outcomes, experiment, _ = _run(field, results)
     name, maximise = _objective(experiment, objective)
     counted = [
         one for one in outcomes if one.status == "done" and one.role != "reference" and name in one.objectives
@@ -60,8 +60,9 @@ def rank(
     notes: list[str] = []
     gaits = _gaits(experiment, counted, told)
     labs: dict[str, dict[object, FloatArray]] = {}
+    units: dict[str, str] = {}
     for target in laboratories:
-        path, theirs, maximised = _laboratory(target, results)
+        path, theirs, maximised, units[path] = _laboratory(target, results)
         labs[path] = theirs if maximised == maximise else {key: -one for key, one in theirs.items()}
         common = sum(_key(gait) in theirs for gait in gaits)
         if common < len(gaits):
@@ -97,6 +98,8 @@ def rank(
         tuple(columns),
         None,
         tuple(notes),
+        units,
+        experiment.units,
     )
     made = _with_winner(made)
     replace_durably(Path(told) / FILE, json.dumps(made.to_json(), indent=2).encode())
@@ -122,11 +125,13 @@ def _with_winner(ranking: Ranking) -> Ranking:
     return replace(ranking, winner=first)
 
 
-def _run(target: str, results: Path) -> tuple[str, list[TrialOutcome], Experiment]:
+def _run(target: str, results: Path) -> tuple[str, list[TrialOutcome], Experiment, dict[str, str]]:
+    """Return a run's folder, trials, experiment, and the units of its conditions and objectives."""
     found = find_run(target, results)
     folder = found.parent if found.is_file() else found
     with open_run(folder) as opened:
-        return str(folder), list(opened.outcomes), experiment_of(opened.experiment_toml, opened.name)
+        experiment = experiment_of(opened.experiment_toml, opened.name)
+        return str(folder), list(opened.outcomes), experiment, opened.units()
 
 
 def _objective(experiment: Experiment, asked: str | None) -> tuple[str, bool]:
@@ -179,9 +184,12 @@ def _key(gait: Condition) -> object:
     return condition_key({name: value for name, value in gait.items() if name != NUMBER})
 
 
-def _laboratory(target: str, results: Path) -> tuple[str, dict[object, FloatArray], bool]:
-    """Return the values of each condition of a laboratory run: its fresh repeats where there are any, else all."""
-    told, outcomes, experiment = _run(target, results)
+def _laboratory(target: str, results: Path) -> tuple[str, dict[object, FloatArray], bool, str]:
+    """Return the values of each condition of a laboratory run: its fresh repeats where there are any, else all.
+
+    Before them the run's folder; behind them whether the goal is a maximum, and the objective's unit.
+    """
+    told, outcomes, experiment, units = _run(target, results)
     if experiment.goal is None:
         raise RequestError(
             f"{told} has no goal, so that it has no order", hint="name a search or a sweep with a goal"
@@ -195,4 +203,5 @@ def _laboratory(target: str, results: Path) -> tuple[str, dict[object, FloatArra
                 taken.setdefault(_key(own_values(one.condition, experiment)), []).append(one.objectives[name])
         for key, values in taken.items():
             found.setdefault(key, values)
-    return told, {key: np.array(values) for key, values in found.items()}, direction == "maximise"
+    values_by_gait = {key: np.array(values) for key, values in found.items()}
+    return told, values_by_gait, direction == "maximise", units.get(name, "")

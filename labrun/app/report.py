@@ -12,16 +12,18 @@ from labrun.app.kept import FOLDER as GAP_FOLDER
 from labrun.app.kept import PAGE, read_stored
 from labrun.errors import RequestError, StoreError
 from labrun.report import (
+    DRIFT_SUFFIX,
     Drift,
     Findings,
     RunView,
     StoredFit,
     StoredGap,
+    candidate_points,
     drift_of,
     experiment_of,
     without_drift,
 )
-from labrun.search import Best, read_generations, stored_result
+from labrun.search import Best, combined_text, read_generations, stored_result
 from labrun.store import SPEC, Run, export_run, find_run, is_recording, open_target, replace_durably
 
 REPORT = "report.html"
@@ -151,11 +153,14 @@ def confirmed_best(view: RunView) -> Best | None:
     goal = view.experiment.goal
     if goal is None:
         return None
-    confirmed = view.points(goal[0], roles=("confirm",))
+    if view.experiment.over:
+        confirmed, every = candidate_points(view, roles=("confirm",)), candidate_points(view)
+    else:
+        confirmed, every = view.points(goal[0], roles=("confirm",)), view.points(goal[0])
     if not confirmed:
         return None
     winner = confirmed[0]
-    everything = np.concatenate([point.values for point in view.points(goal[0])])
+    everything = np.concatenate([point.values for point in every])
     return Best(
         parameters=winner.condition,
         objective_name=goal[0],
@@ -164,6 +169,7 @@ def confirmed_best(view: RunView) -> Best | None:
         unit=view.unit_of(goal[0]),
         luckiest=float(everything.max() if goal[1] == "maximise" else everything.min()),
         trials=len(winner.values),
+        combined=combined_text(view.experiment),
     )
 
 
@@ -217,4 +223,5 @@ def export(
     with open_target(str(target), Path(results)) as run:
         removed = drift_of(run) if remove_drift else []
         outcomes = without_drift(run.outcomes, removed) if removed else None
-        return export_run(run, to, output, outcomes=outcomes), removed
+        units = {f"{item.objective}{DRIFT_SUFFIX}": item.unit for item in removed}
+        return export_run(run, to, output, outcomes=outcomes, units=units), removed

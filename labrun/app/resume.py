@@ -4,12 +4,13 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from labrun.app.carry_out import carry_out, fitted, require_answer
+from labrun.app.carry_out import carry_out, fitted, interruptible, require_answer
 from labrun.app.design import go_on as design_on
 from labrun.app.design import simulator_of
 from labrun.app.run import behind_the_drivers, connected, who_mounts
 from labrun.blind import concealed, is_sealed, read_seal
 from labrun.errors import LabrunError, RequestError
+from labrun.interrupts import Interrupted, handled
 from labrun.runner import Progress, RealClock, Rig, SilentProgress, SimulatedClock
 from labrun.search import RunResult, resume_line, stored_result
 from labrun.spec import load_experiment, loads_experiment
@@ -54,8 +55,16 @@ def resume(
         The experiment file has changed since (says which keys), the folder is no run, or an imported recording.
     """
     found = find_unfinished(None if run is None else str(run), Path(results))
-    with SilentProgress() if progress is None else progress as told:
-        return _go_on(found, told, accept_changed_spec, limit, draw, person)
+    with (
+        handled() as interrupts,
+        interrupts.held(),
+        SilentProgress() if progress is None else progress as told,
+    ):
+        try:
+            return _go_on(found, told, accept_changed_spec, limit, draw, person)
+        except Interrupted as error:
+            error.hint = error.hint or f"to go on: {resume_line(found)}"
+            raise
 
 
 def _go_on(
@@ -66,8 +75,9 @@ def _go_on(
     draw: bool,
     person: Callable[[str], str] | None,
 ) -> RunResult:
-    folder = RunFolder.open(run)
-    result = stored_result(run)
+    with interruptible():
+        folder = RunFolder.open(run)
+        result = stored_result(run)
     if result is not None:
         if not is_finished(run):  # killed between the result and the journal's last line
             folder.journal.append("finished")
@@ -79,10 +89,11 @@ def _go_on(
             f"{run} is a recording made elsewhere, imported from {origin['imported_from']}: nothing is left to resume",
             hint=f"labrun show {run} shows it",
         )
-    changes = changed_keys(origin)
-    if changes:
-        _refuse_or_note(run, origin, changes, accept_changed_spec, progress)
-    loaded = loads_experiment(folder.spec_toml, run.parent.name)
+    with interruptible():
+        changes = changed_keys(origin)
+        if changes:
+            _refuse_or_note(run, origin, changes, accept_changed_spec, progress)
+        loaded = loads_experiment(folder.spec_toml, run.parent.name)
     if loaded.experiment.kind == "design":
         folder.journal.append("resumed", changed=changes)
         simulator = simulator_of(loaded.experiment, Path(str(origin.get("experiment_file", ""))))
@@ -101,7 +112,8 @@ def _go_on(
         folder.lock(),
         behind_the_drivers(on_bench, seed=seed, emulate=emulate, progress=progress) as emulated,
     ):
-        rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run, emulated=emulated)
+        with interruptible():
+            rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run, emulated=emulated)
         with connected(rig):
             folder.journal.append("resumed", changed=changes)
             if emulated is not None:

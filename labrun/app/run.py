@@ -1,16 +1,17 @@
 """A new run: planned, connected, carried out."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 
 import numpy as np
 
-from labrun.app.carry_out import carry_out, fitted, source_of
+from labrun.app.carry_out import carry_out, fitted, interruptible, source_of
 from labrun.app.check import NO_SCENE, require_room, whole_plan
 from labrun.app.leaders import missing_beside, with_leaders
 from labrun.devices import NoTerminalError, Terminal
 from labrun.errors import RequestError
+from labrun.interrupts import handled
 from labrun.objectives import ASKED
 from labrun.runner import (
     EmulatedBench,
@@ -97,7 +98,8 @@ def run(
     results = Path(results)
     loaded = experiment
     if not isinstance(loaded, LoadedExperiment):
-        loaded = load_named(str(experiment), Path(workspace), overrides, kind=kind)
+        with interruptible():
+            loaded = load_named(str(experiment), Path(workspace), overrides, kind=kind)
     if loaded.experiment.kind == "design":
         from labrun.app.design import design
 
@@ -105,13 +107,19 @@ def run(
             loaded, dry_run=dry_run and not hide, seed=seed, limit=limit, results=results, workspace=workspace,
             progress=progress, draw=draw,
         )  # fmt: skip
-    with SilentProgress() if progress is None else progress as told:
+    with (
+        handled() as interrupts,
+        interrupts.held(),
+        SilentProgress() if progress is None else progress as told,
+    ):
         for name in missing_beside(loaded.experiment, results):
             told.note(
                 f"no run of {name} in {results} yet: its leaders are not measured beside those of this run"
             )
+        with interruptible():
+            planned = with_leaders(loaded, results)
         result = _on_bench(
-            with_leaders(loaded, results), results, dry_run=dry_run, emulate=emulate, seed=seed, limit=limit,
+            planned, results, dry_run=dry_run, emulate=emulate, seed=seed, limit=limit,
             hide=hide, hide_seed=hide_seed, progress=told, draw=draw, person=person,
         )  # fmt: skip
         return fitted(result, loaded.experiment, told, workspace)
@@ -140,7 +148,8 @@ def _on_bench(
             write_seal,
         )
 
-        bench = hidden_bench(loaded, hide, seed=hide_seed, simulated=dry_run or emulate, results=results)
+        with interruptible():
+            bench = hidden_bench(loaded, hide, seed=hide_seed, simulated=dry_run or emulate, results=results)
         on_bench, seal = bench.experiment, bench.seal
         seed = bench.seed if seed is None else seed
     if seed is None:
@@ -151,11 +160,12 @@ def _on_bench(
     if (dry_run or emulate) and loaded.experiment.rig.scene is None:
         progress.note(NO_SCENE)
     with behind_the_drivers(on_bench, seed=seed, emulate=emulate, progress=progress) as emulated:
-        rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run, emulated=emulated)
-        motions = MotionMaker(loaded.experiment)
-        plan = whole_plan(loaded, seed, rig, motions)
-        plan.require_feasible()
-        require_room(plan, results)
+        with interruptible():
+            rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run, emulated=emulated)
+            motions = MotionMaker(loaded.experiment)
+            plan = whole_plan(loaded, seed, rig, motions)
+            plan.require_feasible()
+            require_room(plan, results)
         progress.phase("connecting")
         with connected(rig):
             origin = {
@@ -226,7 +236,12 @@ def connected(rig: Rig) -> Iterator[Rig]:
     # Emulators' ports are the run's own, and two such runs do not meet.
     settings = [] if rig.dry_run or rig.emulated else [item.settings for item in rig.resolved]
     ports = [port for table in settings for port in ports_of(table)]
-    with lock_ports(ports) if ports else nullcontext(), rig:
+    with lock_ports(ports) if ports else nullcontext(), ExitStack() as stack:
+        stack.push(rig)  # let go of, whatever happens from here on
+        with interruptible(
+            " while devices were being connected: actuators are stopped, nothing was recorded"
+        ):
+            rig.open()
         yield rig
 
 
@@ -251,5 +266,7 @@ def behind_the_drivers(
             hint="--dry-run simulates them; labrun plugins lists the emulators",
         )
     progress.phase("starting the emulators")
-    with EmulatedBench(rig.devices, scene_of(rig), seed=seed) as bench:
+    with ExitStack() as stack:
+        with interruptible():
+            bench = stack.enter_context(EmulatedBench(rig.devices, scene_of(rig), seed=seed))
         yield bench

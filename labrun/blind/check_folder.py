@@ -15,6 +15,7 @@ from typing import Any
 from labrun.blind.jobs import Files
 from labrun.errors import LabrunError, RequestError
 from labrun.fit import Note
+from labrun.interrupts import Interrupted, number_of
 from labrun.store import replace_durably
 
 SHIPPED_GENERATOR = Path(__file__).parent / "cases"
@@ -121,9 +122,10 @@ def kept_when_interrupted(folder: CheckFolder, what: str) -> Iterator[None]:
     """Turn Ctrl-C into an error that says how to go on; `what` was finished is kept."""
     try:
         yield
-    except KeyboardInterrupt:
-        raise LabrunError(
-            f"interrupted by Ctrl-C; every {what} that was finished is kept",
+    except KeyboardInterrupt as error:
+        raise Interrupted(
+            number_of(error),
+            f"; every {what} that was finished is kept",
             hint=f"the same command goes on: {folder.path}",
         ) from None
 

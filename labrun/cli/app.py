@@ -7,23 +7,23 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from labrun.cli import BY_CTRL_C, data, experiment, fit, gap, workspace
+from labrun.cli import data, experiment, fit, gap, workspace
 from labrun.cli.output import reported
 
 
 class _Commands(TyperGroup):
     """All commands; what was typed wrong is told without the library's own words.
 
-    Ctrl-C is told from the beginning to the end; a command at work says itself what that means there.
+    A signal is told from the beginning to the end; a command at work says itself what that means there.
     """
 
     def make_context(self, *args: Any, **named: Any) -> Any:
-        with reported(as_json=False, interrupted=BY_CTRL_C):
+        with reported(as_json=False):
             return super().make_context(*args, **named)
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            with reported(as_json=False, interrupted=BY_CTRL_C):
+            with reported(as_json=False):
                 return super().invoke(ctx)
         except typer.BadParameter as error:
             error.message = error.message.removeprefix("Value error, ")  # of pydantic, which typer asks

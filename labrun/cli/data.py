@@ -83,21 +83,37 @@ def export(
 
 
 def import_(
-    source: Annotated[
-        Path,
+    sources: Annotated[
+        list[Path],
         typer.Argument(
-            help="Recording folder (recording.toml beside CSV files), to become a run; or a robot's log, to become "
-            "a recording: .mcap, .bag, .db3, .csv, .npz, .h5, .parquet, a rosbag2 or LeRobot folder."
+            metavar="SOURCE...",
+            help="Recording folder (recording.toml beside CSV files), to become a run; or logs of a robot, to become "
+            "one: .mcap, .bag, .db3, .ulg, .csv, .npz, .h5, .mat, .pt, .parquet, a rosbag2 or LeRobot folder.",
         ),
     ],
     model: options.RobotModel = None,
     to: Annotated[
         Path | None, typer.Option(help="Of a log: the recording to write; recordings/<log> if not given.")
     ] = None,
+    more: Annotated[
+        list[Path] | None, typer.Option("--log", help="A further log of the same robot; repeatable.")
+    ] = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run", help="Of a log: show what would be read, and what is in doubt; write nothing."
+        ),
+    ] = False,
     mapping: options.Mapping = None,
     unit: options.Unit = None,
+    zero: options.Zero = None,
+    publisher: options.Publisher = None,
+    time: options.TimeColumn = None,
+    time_unit: options.TimeUnit = None,
+    stamps: options.Stamps = None,
     cut: options.Cut = None,
     rate: options.Rate = None,
+    repair: options.Repair = False,
     results: options.Results = options.RESULTS,
     as_json: options.Json = False,
 ) -> None:
@@ -105,25 +121,39 @@ def import_(
 
     A recording written by hand needs neither: fit, gap diagnose, check and show take its folder as it is.
 
-    Columns of a log are matched with the model by name; what is unclear is listed with a proposal, for --map.
+    Columns of a log are matched with the model by name; what is unclear is listed with a proposal and its flag.
 
     Example:  labrun import recordings/ring-down
 
-    Example:  labrun import run.mcap --model arm.xml --to recordings/arm
+    Example:  labrun import run.mcap --model arm.xml --dry-run
+
+    Example:  labrun import monday.mcap tuesday.mcap --model arm.xml --to recordings/arm
     """
+    paths = [*sources, *(more or ())]
     if model is not None:
         with reported(as_json):
-            from labrun.app.logs import import_log
+            from labrun.app.logs import import_log, preview_log
 
-            made = import_log(
-                source, model, to, mapping=mapping or (), unit=unit, cut_s=options.seconds(cut), rate_hz=rate
+            answers = options.log_answers(
+                mapping, unit, zero, publisher, time, time_unit, stamps, cut, rate, repair
+            )
+            made = (
+                preview_log(paths, model, answers=answers)
+                if dry_run
+                else import_log(paths, model, to, answers=answers)
             )
         print_result(made, as_json)
         return
     with reported(as_json):
+        from labrun.errors import RequestError
         from labrun.store import import_recording
 
-        run = import_recording(source, results)
+        if dry_run or len(paths) > 1:
+            raise RequestError(
+                "--dry-run and several sources are for logs of a robot, which need its model",
+                hint="--model arm.xml",
+            )
+        run = import_recording(paths[0], results)
     if as_json:
         print_json({"run": run})
     else:

@@ -102,7 +102,7 @@ def compare(
 
     Example:  labrun compare design:swimmer rig:rowing --tolerance 10%
     """
-    with reported(as_json, "interrupted; no comparison was written"):
+    with reported(as_json, "; no comparison was written"):
         from labrun.app.compare import compare as compare_data
 
         with status() as note:
@@ -138,7 +138,7 @@ def rank(
 
     Example:  labrun rank turn-torque turn-torque-current --field field-turn
     """
-    with reported(as_json, "interrupted; no ranking was written"):
+    with reported(as_json, "; no ranking was written"):
         from labrun.app.rank import rank as rank_gaits
         from labrun.report import ranking_text
 

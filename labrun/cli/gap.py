@@ -1,5 +1,6 @@
 """`labrun gap diagnose`, `save`, `export`, `test`, `compare`, `plan` and `next`."""
 
+import signal
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -8,7 +9,8 @@ from typing import Annotated
 import typer
 
 from labrun.cli import blind, options
-from labrun.cli.output import INTERRUPTED, print_json, print_result, reported, status
+from labrun.cli.output import print_json, print_result, reported, status
+from labrun.interrupts import exit_code
 
 gap = typer.Typer(
     name="gap",
@@ -81,13 +83,28 @@ def diagnose(
     target: options.TargetOrRobot,
     model: Model = None,
     log: Annotated[
-        Path | None,
-        typer.Option(help="A robot's log: TARGET is then its MJCF or URDF file. What `labrun import` reads."),
+        list[Path] | None,
+        typer.Option(
+            help="A robot's log: TARGET is then its MJCF or URDF file. What `labrun import` reads; repeatable."
+        ),
     ] = None,
     mapping: options.Mapping = None,
     unit: options.Unit = None,
+    zero: options.Zero = None,
+    publisher: options.Publisher = None,
+    time: options.TimeColumn = None,
+    time_unit: options.TimeUnit = None,
+    stamps: options.Stamps = None,
     cut: options.Cut = None,
     rate: options.Rate = None,
+    repair: options.Repair = False,
+    anyway: Annotated[
+        bool,
+        typer.Option(
+            "--anyway",
+            help="Go on where the robot as stated misses a joint's goals by far more than it moves.",
+        ),
+    ] = False,
     more: More = None,
     withhold: Annotated[
         list[str] | None,
@@ -138,23 +155,28 @@ def diagnose(
 
     Example:  labrun gap diagnose recordings/ring-down --model pendulum.toml --save-model corrected.toml
     """
-    with reported(as_json, "interrupted; no diagnosis was written"):
+    with reported(as_json, "; no diagnosis was written"):
         from labrun.app.diagnose import StoredDiagnosis
         from labrun.app.diagnose import diagnose as diagnose_target
         from labrun.app.diagnose_robot import StoredRobotDiagnosis, diagnose_joints, joint_by_joint
 
-        if log is not None:
+        if log:
             from labrun.app.logs import import_log
 
-            made = import_log(
-                log, target, mapping=mapping or (), unit=unit, cut_s=options.seconds(cut), rate_hz=rate
+            answers = options.log_answers(
+                mapping, unit, zero, publisher, time, time_unit, stamps, cut, rate, repair
             )
+            made = import_log(log, target, answers=answers)
             target = str(made.folder)
             if not as_json:
                 typer.echo(made.to_text(), err=True)
+        if not (model or more or anyway):
+            from labrun.app.check_recording import require_near
+
+            require_near(target, results=results)
         apart = not (whole or model or more or explain_rest)
         why_together = joint_by_joint(target, results) if apart else None
-        if why_together and log is not None and not as_json:
+        if why_together and log and not as_json:
             typer.echo(f"not joint by joint: {why_together}", err=True)
         stored: StoredDiagnosis | StoredRobotDiagnosis
         with status() as note:
@@ -182,7 +204,7 @@ def diagnose(
         if stored.warning:
             typer.echo(f"labrun: {stored.warning}", err=True)
         if stored.was_interrupted:
-            raise typer.Exit(INTERRUPTED)
+            raise typer.Exit(exit_code(signal.SIGINT))
 
 
 def save(
@@ -321,7 +343,7 @@ def plan(
 
     Example:  labrun gap plan hinge-pendulum --rig hinge --noise angle=0.002
     """
-    with reported(as_json, "interrupted; no experiment was written"):
+    with reported(as_json, "; no experiment was written"):
         from labrun.app.next import plan_trials
         from labrun.report import trial_plan_text
 
@@ -360,7 +382,7 @@ def export(
 
     Example:  labrun gap export recordings/arm --to mjcf --output corrected.xml
     """
-    with reported(as_json, "interrupted; nothing was written"):
+    with reported(as_json, "; nothing was written"):
         from labrun.app.simulators import export_robot
 
         with status() as note:
@@ -383,7 +405,7 @@ def next_(
 
     Example:  labrun gap next hinge
     """
-    with reported(as_json, "interrupted; no experiment was written"):
+    with reported(as_json, "; no experiment was written"):
         from labrun.app.next import propose_next
 
         with status() as note:

@@ -1,9 +1,12 @@
 """Arguments and options that several commands share, with their shell completion."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from labrun.app.logs import LogAnswers
 
 
 def complete_experiment(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -85,19 +88,96 @@ Mapping = Annotated[
     ),
 ]
 Unit = Annotated[
-    str | None,
+    list[str] | None,
     typer.Option(
         "--unit",
-        help="Of a log's angles: rad, deg, ticks (ticks:16384 a turn) or normalised; told from their range.",
+        metavar="[JOINT=]UNIT",
+        help="Of a log: unit of all angles or of one joint: rad, deg, ticks (ticks:16384 a turn), normalised, percent, "
+        "m, mm; CHANNEL=A:0.9 of a torque logged in amperes, N m per ampere; repeatable.",
+    ),
+]
+Zero = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--zero",
+        metavar="JOINT=NUMBER",
+        help="Of a log: what it reads at the zero of a joint's model; repeatable.",
+    ),
+]
+Publisher = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--publisher",
+        metavar="TOPIC=NUMBER",
+        help="Of a log: which of several writers of a topic counts; repeatable.",
+    ),
+]
+TimeColumn = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--time",
+        metavar="[ARRAY=]COLUMN",
+        help="Of a log: the column that holds time, of all or of one array.",
+    ),
+]
+TimeUnit = Annotated[
+    str | None,
+    typer.Option("--time-unit", metavar="s|ms|us|ns", help="Of a log: unit of its column of time."),
+]
+Stamps = Annotated[
+    str | None,
+    typer.Option(
+        "--stamps",
+        metavar="own|receipt",
+        help="Of a bag: stamps of the messages as they are, or of their receipt.",
+    ),
+]
+Repair = Annotated[
+    bool,
+    typer.Option(
+        "--repair", help="Of a robot file: replace inertias that no body can have by the nearest possible."
     ),
 ]
 Cut = Annotated[
     str | None,
-    typer.Option("--cut", metavar="10s", help="Of a log: length of the trials; at rests if not given."),
+    typer.Option(
+        "--cut",
+        metavar="10s",
+        help="Of a log: length of the trials; its episodes, or between rests, if not given.",
+    ),
 ]
 Rate = Annotated[
     float | None, typer.Option("--rate", min=1e-3, help="Of a log without stamps: samples a second.")
 ]
+
+
+def log_answers(
+    mapping: list[str] | None,
+    unit: list[str] | None,
+    zero: list[str] | None,
+    publisher: list[str] | None,
+    time: list[str] | None,
+    time_unit: str | None,
+    stamps: str | None,
+    cut: str | None,
+    rate: float | None,
+    repair: bool,
+) -> "LogAnswers":
+    """Return what was said of a log on the command line."""
+    from labrun.app.logs import LogAnswers
+
+    return LogAnswers(
+        mapping or (),
+        unit or (),
+        zero or (),
+        publisher or (),
+        time or (),
+        time_unit,
+        stamps,
+        rate,
+        seconds(cut),
+        repair,
+    )
 
 
 def seconds(text: str | None) -> float | None:
@@ -118,7 +198,9 @@ def seconds(text: str | None) -> float | None:
     except ValueError:
         from labrun.errors import RequestError
 
-        raise RequestError(f"--cut {text} is no time", hint="--cut 10s, or --cut 2min") from None
+        raise RequestError(
+            f"invalid duration {text!r} for --cut; write for example --cut 5s or --cut 2min"
+        ) from None
 
 
 Results = Annotated[Path, typer.Option(help="Folder of the runs.", file_okay=False)]

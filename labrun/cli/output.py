@@ -1,4 +1,7 @@
-"""What a command prints, and how it ends: 0 done, 1 the experiment failed, 2 the request was wrong, 130 Ctrl-C."""
+"""What a command prints, and how it ends: 0 done, 1 the experiment failed, 2 the request was wrong.
+
+Asked to stop by a signal, it ends with 128 and the signal's number, as shells say it: 130 after Ctrl-C.
+"""
 
 import json
 import sys
@@ -9,32 +12,27 @@ from typing import Any
 import typer
 
 from labrun.errors import LabrunError
+from labrun.interrupts import Interrupted, handled, number_of
 from labrun.json_numbers import finite
-
-INTERRUPTED = 130
-"""As shells say it: 128 and the number of the signal."""
 
 
 @contextmanager
-def reported(
-    as_json: bool, interrupted: str = "interrupted by Ctrl-C before anything moved or was written"
-) -> Iterator[None]:
+def reported(as_json: bool, interrupted: str = "") -> Iterator[None]:
     """Turn an error labrun can explain into its message and its exit code.
 
-    Ctrl-C while a run is under way comes as such an error, with what was saved; before that there is nothing to save.
+    A signal while a run is under way comes as such an error, with what was saved.
 
     Parameters
     ----------
     interrupted
-        What Ctrl-C means here.
+        What a signal means for any other command, to follow "interrupted by Ctrl-C".
     """
     try:
-        yield
-    except KeyboardInterrupt:
-        if as_json:
-            print_json({"error": interrupted, "hint": None})
-        typer.echo(f"labrun: {interrupted}", err=True)
-        raise typer.Exit(INTERRUPTED) from None
+        try:
+            with handled() as interrupts, interrupts.raising():
+                yield
+        except KeyboardInterrupt as interrupt:
+            raise Interrupted(number_of(interrupt), interrupted) from None
     except LabrunError as error:
         if as_json:
             print_json({"error": str(error.args[0]), "hint": error.hint, **error.details})

@@ -15,8 +15,8 @@ from labrun.devices import Channel, FloatArray, Samples, Trajectory
 from labrun.errors import SpecError
 from labrun.gaits import Steering, make_gait, steering_of
 from labrun.runner import LEAD_S, TAIL_S, Handle, Rig, SimulatedClock, TrialRecording
+from labrun.signals import TIMES
 from labrun.spec import LOOP_DEVICE, TIMING_CHANNELS, Experiment, LoopTable, Track, condition_text
-from labrun.toml import unit_of
 
 _SAME_S = 1e-6
 """Two points of a command are further apart than this."""
@@ -151,24 +151,13 @@ def channels_of(
         of_feedback = [one.unit for one in feedbacks[name]]
         if len(of_feedback) == 1:  # of a vector, too
             of_feedback *= len(shape.components)
-        of_drives = [variable_unit(experiment, variable) for variable in table.drives]
+        of_drives = [experiment.units.get(variable, "") for variable in table.drives]
         units = [*3 * of_feedback, *2 * of_drives, *shape.more.values()]
         found += [Channel(c, unit or "1") for c, unit in zip(shape.channels(name), units, strict=True)]
     return (
         *found,
         *(Channel(name, unit) for name, unit in zip(TIMING_CHANNELS, ("s", "s", "s", "1"), strict=True)),
     )
-
-
-def variable_unit(experiment: Experiment, variable: str) -> str:
-    """Return the unit of a variable: as [units] says, else as the key of the gait that takes it as it stands."""
-    if variable in experiment.units:
-        return experiment.units[variable]
-    for keys in experiment.gait.joints.values():
-        for key, expression in keys.items():
-            if expression.text.strip() == variable:
-                return unit_of(key) or ""
-    return ""
 
 
 _LOOK_S = 0.05
@@ -276,6 +265,12 @@ class ClosedLoopRecorder:
         self.channels: tuple[Channel, ...] = channels_of(experiment, self._track.loops, self._feedbacks)
         """What the loops record, under the device name "loop"."""
         self._gait = make_gait(experiment.gait)
+
+    @property
+    def columns_hz(self) -> float:
+        """Values that the loops record a second: their channels with times, and the command with its time."""
+        columns = len(self.channels) + len(TIMES) + len(self._experiment.gait.joints) + 1
+        return columns * self._track.rate_hz
 
     def require_makeable(self, conditions: Sequence[Condition]) -> None:
         """Raise SpecError unless every condition gives a reference and a controller to each loop."""
@@ -407,7 +402,7 @@ class ClosedLoopRecorder:
             table.start,
             components=table.shape.components,
             unit=self._feedbacks[name][0].unit,
-            drives={variable: variable_unit(self._experiment, variable) for variable in table.drives},
+            drives={variable: self._experiment.units.get(variable, "") for variable in table.drives},
             rig="" if scene is None else scene.plugin,
             simulated=self._simulated,
         )

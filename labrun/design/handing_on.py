@@ -11,8 +11,8 @@ import tomli_w
 from labrun.design.simulator import Simulator
 from labrun.errors import RequestError
 from labrun.models import corrected_model_text, load_model
-from labrun.spec import Condition, Design, WrittenExperiment
-from labrun.toml import KeyPath, locate, replaced, suggest
+from labrun.spec import BRACES, Condition, Design, WrittenExperiment
+from labrun.toml import Expression, KeyPath, locate, replaced, suggest
 
 MADE = "# Written by labrun design"
 """How a file begins that a design has written, and a later one may replace."""
@@ -84,6 +84,7 @@ def written_experiment(
     """
     known = {".".join(map(str, path)): path for path in locate(template).spans}
     given: dict[str, float | str] = {name: float(one(values)) for name, one in written.values.items()}
+    given |= {name: _filled(text, values) for name, text in written.texts.items()}
     if written.model_at is not None:
         given[written.model_at] = model
     places: dict[KeyPath, str] = {}
@@ -98,6 +99,11 @@ def written_experiment(
     while text.startswith((MADE, _KEEP)):  # the template is what a design wrote before
         text = text.partition("\n")[2]
     return "\n".join([about, _KEEP, text])
+
+
+def _filled(text: str, values: Condition) -> str:
+    """Return a text with the numbers of the design in the place of expressions in braces."""
+    return BRACES.sub(lambda found: f"{float(Expression.of(found[1])(values)):.6g}", text)
 
 
 def _as_toml(value: float | str) -> str:

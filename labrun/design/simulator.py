@@ -11,6 +11,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.design.constraints import DesignConstraints, Margin, summary
 from labrun.errors import PlanError, SpecError
+from labrun.estimate import outside_text
 from labrun.models import Model, load_model, simulate
 from labrun.runner import MotionMaker, ObjectiveError, ObjectiveEvaluation
 from labrun.search import Violations
@@ -217,7 +218,9 @@ class _Parts:
         for name, value in parameters.items():
             low, high, unit = self._bounds[name]
             if not low <= value <= high:
-                raise _UnfitError(f"{name} = {value:.4g} {unit} is outside {low:g} ... {high:g}")
+                raise _UnfitError(
+                    f"{name} = {outside_text(value, low, high)} {unit} is outside {low:g} ... {high:g}"
+                )
 
     def signals(self, time_s: FloatArray, outputs: FloatArray, values: Condition) -> Signals:
         """Return the model's outputs, and the channels made of them."""

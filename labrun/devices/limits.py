@@ -55,7 +55,7 @@ class Limits(BaseModel):
     @classmethod
     def _ordered(cls, pair: tuple[float, float] | None) -> tuple[float, float] | None:
         if pair is not None and not pair[0] < pair[1]:
-            raise ValueError(f"[low, high], and {pair[0]:g} is not below {pair[1]:g}")
+            raise ValueError(f"expected [low, high]; {pair[0]:g} is not below {pair[1]:g}")
         return pair
 
     def trajectory_excess(self, trajectory: Trajectory) -> Iterator[Excess]:
@@ -129,7 +129,7 @@ class Limits(BaseModel):
         if not (math.isfinite(to_m) and math.isfinite(speed_m_s) and speed_m_s > 0):
             raise DeviceError(
                 device,
-                f"cannot travel to {to_m:g} m at {speed_m_s:g} m/s; the speed is above zero",
+                f"cannot travel to {to_m:g} m at {speed_m_s:g} m/s; the speed must be above zero",
                 hint="change trial.carriage",
             )
         for excess in self.travel_excess(to_m, speed_m_s):

@@ -39,7 +39,7 @@ class HingeAngle(BaseModel):
     @classmethod
     def _has_direction(cls, axis: tuple[float, float, float]) -> tuple[float, float, float]:
         if not any(axis):
-            raise ValueError("axis is a direction; [0, 0, 0] is none")
+            raise ValueError("expected a direction; [0, 0, 0] has none")
         return axis
 
 

@@ -61,7 +61,10 @@ class Scene(Protocol):
         ...
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the whole memory of the bench as JSON-ready values, so that a resumed run goes on identically."""
+        """Return the whole memory of the bench as JSON-ready values, so that a resumed run goes on identically.
+
+        Kept with every trial: what is over for more than a few seconds has no place in it.
+        """
         ...
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
@@ -193,7 +196,11 @@ class Attended(Arranging, Actuator, Protocol):
 
 @runtime_checkable
 class Sensor(Device, Protocol):
-    """Streams samples."""
+    """Streams samples.
+
+    One of forces or torques that needs no tare, because a calibration or a bias takes its offset off or because its
+    values are computed, has ``zero_known = True``: `labrun check` then does not ask for one.
+    """
 
     channels: tuple[Channel, ...]
     rate_hz: float

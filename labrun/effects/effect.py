@@ -9,8 +9,8 @@ from labrun.compiled import NativeFunction, native
 from labrun.errors import ModelError
 from labrun.toml import suggest
 
-SiteKind = Literal["joint", "body", "base", "tip", "link", "input", "output"]
-FORCED: frozenset[SiteKind] = frozenset({"joint", "body", "base", "tip", "link"})
+SiteKind = Literal["joint", "body", "base", "tip", "link", "controller", "input", "output"]
+FORCED: frozenset[SiteKind] = frozenset({"joint", "body", "base", "tip", "link", "controller"})
 """Kinds of sites that take a force."""
 Need = Literal["load", "stiffness", "drive"]
 
@@ -118,12 +118,13 @@ class Site:
     Attributes
     ----------
     kind
-        ``joint``, ``body``, ``base``, ``tip`` and ``link`` sites take forces; every input and every output is a site of
-        its own kind.
+        ``joint``, ``body``, ``base``, ``tip``, ``link`` and ``controller`` sites take forces; every input and every
+        output is a site of its own kind.
     coordinate, rate
         Expressions of a joint's or body's coordinate and of its time derivative. Of a robot's base: what gravity asks
         of a joint for each rad that the base is rolled, and pitched; of its tip: what a joint must exert for each
-        kilogram there; of its link: what its drive exerts less for each rad (m) that it gives way by each N m (N).
+        kilogram there; of its link: what its drive exerts less for each rad (m) that it gives way by each N m (N); of
+        its controller: what holds a joint against gravity, and what moves it as it moves, gravity included.
     load
         Expression of the load the joint carries; "" where a model gives none.
     stiffness
@@ -238,6 +239,8 @@ class Effect:
         is known that is done exactly; `function` is what a bench that goes step by step does instead.
     needs
         What a site must declare for it; `unless` what makes it needless there.
+    stand_ins
+        Ids of the effects that do the same where a site does not declare what it needs: there it is not missed.
     needs_acceleration
         Whether the force depends on the site's acceleration, linearly. The integrator then solves for both.
     signals
@@ -269,6 +272,7 @@ class Effect:
     ahead: str = ""
     needs: tuple[Need, ...] = ()
     unless: tuple[Need, ...] = ()
+    stand_ins: tuple[str, ...] = ()
     needs_acceleration: bool = False
     signals: int = 1
     contains: tuple[str, ...] = ()

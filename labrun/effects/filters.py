@@ -1,4 +1,4 @@
-"""Effects that no equation says: delay, exact lag, rate limit of a signal, and an echo from walls."""
+"""Effects that no equation says: delay, exact lag, rate limit and profile of a signal, and an echo from walls."""
 
 # ruff: noqa: ARG001 - the signature is fixed, whatever of it a form uses
 
@@ -34,6 +34,60 @@ def rate_limit(
             caught = abs(ahead) / closing
             out[2] = 0.5 * ahead * (1.0 - caught / dt)
     out[1] = memory[0]
+
+
+def motion_profile(
+    before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer
+) -> None:
+    """Write what runs to the signal in the least time, with bounded speed and acceleration, and rests there.
+
+    `memory` is where it is, and its speed. It goes to where the piece of the signal ends: a drive follows goals that
+    are held. Phases of constant acceleration: until the top speed, at it, and until rest.
+    """
+    if dt == 0.0:
+        memory[0] = after[0]
+        memory[1] = 0.0
+    place, speed, top = memory[0], memory[1], values[0]
+    out[0] = place
+    if top == math.inf:
+        out[0] = before[0]
+        memory[0] = after[0]
+        memory[1] = 0.0
+    elif dt > 0.0:
+        slope = top / values[1]
+        # where it would come to rest if it braked now, tells the way
+        short = after[0] - place - 0.5 * speed * abs(speed) / slope
+        way = 1.0 if short >= 0.0 else -1.0
+        ahead, along = way * (after[0] - place), way * speed
+        peak = min(math.sqrt(max(slope * ahead + 0.5 * along * along, 0.0)), top)
+        first = abs(peak - along) / slope
+        last = peak / slope
+        between = ahead - 0.5 * (along + peak) * first - 0.5 * peak * last
+        cruise = max(between, 0.0) / peak if peak > 0.0 else 0.0
+        area, left = 0.0, dt
+        for phase in range(3):
+            length = first if phase == 0 else cruise if phase == 1 else last
+            rising = math.copysign(slope, peak - along) if phase == 0 else 0.0 if phase == 1 else -slope
+            spent = min(length, left)
+            area += spent * (place + way * spent * (0.5 * along + rising * spent / 6.0))
+            place += way * spent * (along + 0.5 * rising * spent)
+            left -= spent
+            if spent < length:
+                along += rising * spent
+                break
+            along = peak if phase < 2 else 0.0
+        if left > 0.0:
+            place, along = after[0], 0.0
+            area += left * place
+        memory[0] = place
+        memory[1] = way * along
+        out[2] = area / dt - 0.5 * (out[0] + place)
+    out[1] = memory[0]
+
+
+def motion_profile_memory(values: Sequence[float], shortest_s: float) -> int:
+    """Return how many numbers `motion_profile` keeps."""
+    return 2
 
 
 def play(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:

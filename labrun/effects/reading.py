@@ -49,6 +49,7 @@ class _Entry(Table):
     contains: tuple[str, ...] = ()
     needs: tuple[Need, ...] = ()
     unless: tuple[Need, ...] = ()
+    stand_ins: tuple[str, ...] = ()
     caution: str = ""
     compound: bool = False
     least_travel: float = 0.0
@@ -186,6 +187,7 @@ def _effects(id_: str, entry: _Entry, origin: str) -> Iterator[Effect]:
             ahead=entry.ahead,
             needs=needs,
             unless=entry.unless,
+            stand_ins=entry.stand_ins,
             needs_acceleration="acceleration" in used,
             signals=1 + ("other" in used),
             contains=entry.contains,

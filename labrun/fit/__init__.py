@@ -5,6 +5,7 @@ import sys
 from labrun import UseCasePackage
 from labrun.estimate import Estimate, rounded
 from labrun.fit.comparison import (
+    LEAST_SIZE,
     ComparedPoint,
     Comparison,
     Pair,
@@ -48,15 +49,15 @@ from labrun.spec import condition_text
 from labrun.store import Run, TrialOutcome, is_recording, open_run
 
 __all__ = [
-    "FEWEST_SAMPLES", "FEW_TRIALS", "FIRST_SAMPLES", "GROUP", "LEVEL", "SIMULATED", "ComparedPoint", "Comparison",
-    "Curve", "DataTable", "Dataset", "Deviation", "DeviationKind", "Each", "Estimate", "FigureData", "FitJob",
-    "FitMethod", "FitPlan", "FitPlugin", "FitResult", "FitSummary", "FitTrial", "FittedData", "Jacobian", "NoSettings",
-    "NormalEquations", "Note", "OutputNoise", "OutputsAlone", "Pair", "Panel", "Problem", "Run", "Stack", "TextTable",
-    "TrainingSamples", "TrialOutcome", "WithSettings", "by_mounting", "compared", "condition_text",
-    "correlation_length", "divergence_warnings", "fit_model", "is_method", "is_recording", "known_inverse",
-    "load_dataset", "make_method", "mean_absolute", "mean_estimate", "minimise", "one_by_one", "open_run", "paired",
-    "predicted_numbers", "predictions", "resample_trials", "rounded", "search", "silent", "student", "thinned",
-    "told_apart", "until_peak", "workers",
+    "FEWEST_SAMPLES", "FEW_TRIALS", "FIRST_SAMPLES", "GROUP", "LEAST_SIZE", "LEVEL", "SIMULATED", "ComparedPoint",
+    "Comparison", "Curve", "DataTable", "Dataset", "Deviation", "DeviationKind", "Each", "Estimate", "FigureData",
+    "FitJob", "FitMethod", "FitPlan", "FitPlugin", "FitResult", "FitSummary", "FitTrial", "FittedData", "Jacobian",
+    "NoSettings", "NormalEquations", "Note", "OutputNoise", "OutputsAlone", "Pair", "Panel", "Problem", "Run",
+    "Stack", "TextTable", "TrainingSamples", "TrialOutcome", "WithSettings", "by_mounting", "compared",
+    "condition_text", "correlation_length", "divergence_warnings", "fit_model", "is_method", "is_recording",
+    "known_inverse", "load_dataset", "make_method", "mean_absolute", "mean_estimate", "minimise", "one_by_one",
+    "open_run", "paired", "predicted_numbers", "predictions", "resample_trials", "rounded", "search", "silent",
+    "student", "thinned", "told_apart", "until_peak", "workers",
 ]  # fmt: skip
 
 sys.modules[__name__].__class__ = UseCasePackage

@@ -55,6 +55,8 @@ class ComparedPoint:
         `rmse` over the root mean square of what was measured, see `LEAST_SIZE`; inf where only zero was measured.
     at_s
         None for a single number.
+    size, floored
+        What `relative` is over, and whether that is the least size of the channel, more than was measured here.
     """
 
     condition: Mapping[str, float | str]
@@ -66,6 +68,8 @@ class ComparedPoint:
     rmse: float
     relative: float
     at_s: float | None
+    size: float
+    floored: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,11 +138,13 @@ def compared(pairs: Sequence[Pair]) -> tuple[ComparedPoint, ...]:
             groups.setdefault(condition_key(pair.condition), []).append(pair)
         sizes = {key: _rms(np.concatenate([one.measured for one in group])) for key, group in groups.items()}
         least = LEAST_SIZE * max(sizes.values())
-        points += [_point(group, max(sizes[key], least)) for key, group in groups.items()]
+        points += [
+            _point(group, max(sizes[key], least), floored=sizes[key] < least) for key, group in groups.items()
+        ]
     return tuple(sorted(points, key=lambda point: -point.relative))
 
 
-def _point(group: Sequence[Pair], size: float) -> ComparedPoint:
+def _point(group: Sequence[Pair], size: float, *, floored: bool) -> ComparedPoint:
     first, differences = group[0], _differences(group)
     rmse = _rms(differences)
     both = [[getattr(pair, side) for pair in group] for side in ("measured", "predicted")]
@@ -152,7 +158,7 @@ def _point(group: Sequence[Pair], size: float) -> ComparedPoint:
     relative = rmse / size if size > 0 else (np.inf if rmse > 0 else 0.0)
     trials = sum(pair.trials for pair in group)
     named = (first.condition, first.channel, first.unit, trials)
-    return ComparedPoint(*named, measured, predicted, rmse, float(relative), at_s)
+    return ComparedPoint(*named, measured, predicted, rmse, float(relative), at_s, size, floored)
 
 
 def predictions(model: Model, data: Dataset) -> tuple[list[Pair], tuple[str, ...]]:

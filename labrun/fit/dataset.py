@@ -1,6 +1,6 @@
 """Measured trials as a model sees them: its inputs and outputs, on the time base of its outputs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -135,6 +135,15 @@ class Dataset:
     def of_group(self, group: int) -> list[int]:
         """Return the places of the trials of a condition."""
         return [index for index, trial in enumerate(self.trials) if trial.group == group]
+
+
+DataCheck = Callable[[Dataset], Dataset]
+"""Returns the trials of a dataset that can be fitted; raises RecordingError if none can."""
+
+
+def unchecked(dataset: Dataset) -> Dataset:
+    """Return a dataset as it is."""
+    return dataset
 
 
 def load_dataset(target: Path, model: Ports, signals: Mapping[str, str] | None = None) -> Dataset:

@@ -10,6 +10,7 @@ from pydantic import BaseModel
 
 from labrun import registry
 from labrun.errors import RequestError
+from labrun.fit.dataset import DataCheck, unchecked
 from labrun.fit.result import FitSummary
 from labrun.models import Model
 from labrun.toml import Keys, dotted, validate
@@ -66,6 +67,8 @@ class FitJob:
         Called with what is being done.
     settings_of
         What the experiment of the target says of another fit, for a fit that is made on it.
+    check
+        Leaves out the trials that cannot be fitted, such as those in which time jumps.
     """
 
     target: Path
@@ -76,6 +79,7 @@ class FitJob:
     starts: int | None = None
     note: Note = silent
     settings_of: Callable[[str], Mapping[str, Any]] = lambda _: {}
+    check: DataCheck = unchecked
 
 
 class FitMethod(Protocol):

@@ -65,7 +65,7 @@ class ModelFit(WithSettings[NoSettings]):
                 hint="name one with --model FILE, or as [fit] model in the experiment, "
                 "or put model.toml beside recording.toml",
             )
-        dataset = load_dataset(job.target, job.model, job.signals)
+        dataset = job.check(load_dataset(job.target, job.model, job.signals))
         return fit_model(job.model, dataset, rng=job.rng, starts=job.starts or _STARTS, note=job.note)
 
 

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validato
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
+from labrun.fit.dataset import DataCheck, Dataset, FitTrial, unchecked
 from labrun.signals import Signals
 from labrun.spec import Experiment, condition_text, loads_experiment
 from labrun.store import COMMAND, TrialOutcome, imported_channels, is_recording, open_run
@@ -147,6 +148,7 @@ def load_signals(
     *,
     where: Mapping[str, float | str] | None = None,
     rate_hz: float | None = None,
+    check: DataCheck = unchecked,
 ) -> SignalSet:
     """Load signals, by the name the fit gives them, of a recording folder, a run folder or a run.h5.
 
@@ -156,6 +158,8 @@ def load_signals(
         Only trials whose condition has these values.
     rate_hz
         Of the time base; None takes that of the first measured channel.
+    check
+        Leaves out trials by the times at which they were sampled.
 
     Raises
     ------
@@ -172,10 +176,13 @@ def load_signals(
     accepted = [one for one in here if one.status == "done"]
     trials: list[SignalTrial] = []
     units: dict[str, str] = {}
+    kind: Literal["recording", "run"] = "recording" if recorded else "run"
+    sampled: list[FitTrial] = []
     for outcome in accepted:
         channels = _Channels(outcome, run.measured(outcome.index), experiment, target, recorded)
         trial, units = channels.trial(wanted, rate_hz)
         trials.append(trial)
+        sampled.append(channels.sampled(wanted))
     if not trials:
         why = "no accepted trial" if here else "no trial"
         condition = f" with {condition_text(only)}" if only else ""
@@ -183,8 +190,9 @@ def load_signals(
             f"nothing to fit in {target}: it has {why}{condition}",
             hint=f"labrun show {target} lists its trials",
         )
-    kind: Literal["recording", "run"] = "recording" if recorded else "run"
-    return SignalSet(run.name, kind, tuple(trials), units, len(here) - len(accepted))
+    kept = {one.label for one in check(Dataset(run.name, target, kind, (), (), tuple(sampled))).trials}
+    trials = [one for one in trials if one.label in kept]
+    return SignalSet(run.name, kind, tuple(trials), units, len(here) - len(trials))
 
 
 def trailing_mean(values: FloatArray, samples: int) -> FloatArray:
@@ -226,12 +234,20 @@ class _Channels:
         named = (self.label, outcome.condition, repeat)
         return SignalTrial(*named, time_s, values, outcome.period_s, outcome.mounting), units
 
-    def _time_base(self, wanted: Mapping[str, SignalTable], rate_hz: float | None) -> FloatArray:
-        """Return times at the given rate, or that of the first wanted device that was measured."""
+    def sampled(self, wanted: Mapping[str, SignalTable]) -> FitTrial:
+        """Return the times at which the trial was sampled, without its values, for a check of its clock."""
+        time_s, none = self._base(wanted).time_s, np.empty((0, 0))
+        return FitTrial(self.label, self.outcome.condition, self.outcome.repeat, time_s, none, none)
+
+    def _base(self, wanted: Mapping[str, SignalTable]) -> Signals:
+        """Return what the first wanted device measured that did; of a recording, its first channels with samples."""
         devices = [one.channel.partition(".")[0] for one in wanted.values()]
         measured = [self.measured[one] for one in devices if one in self.measured and one != COMMAND]
-        found = [one for one in self.measured.values() if len(one) or not self.bare]
-        base = (measured or found)[0]
+        return (measured or [one for one in self.measured.values() if len(one) or not self.bare])[0]
+
+    def _time_base(self, wanted: Mapping[str, SignalTable], rate_hz: float | None) -> FloatArray:
+        """Return times at the given rate, or that of the first wanted device that was measured."""
+        base = self._base(wanted)
         start_s = float(base.time_s[0]) if self.bare else 0.0
         end_s = self.outcome.duration_s if self.outcome.duration_s > 0 else float(base.time_s[-1])
         rate_hz = rate_hz or base.rate_hz

@@ -339,9 +339,8 @@ def untried(model: Model, withhold: Collection[str] = ()) -> tuple[str, ...]:
     lacking: dict[str, list[str]] = {}
     joints = [one for one in model.places if one.kind == "joint"]
     for effect in effects(without=withhold):
-        if (
-            not effect.needs or "drive" in effect.needs
-        ):  # where no joint has a drive, nobody misses what is in one
+        # where no joint has a drive, nobody misses what is in one; what another effect does in its place is not missed
+        if not effect.needs or "drive" in effect.needs or effect.stand_ins:
             continue
         fitting = [one for one in joints if effect.kind == "joint" and not effect.fits(one)]
         if joints and len(fitting) == len(joints):
@@ -388,11 +387,6 @@ def _starts(effect: Effect) -> tuple[tuple[float, ...], ...]:
     return tuple(found)
 
 
-def without(everything: Sequence[Candidate], names: Collection[Name]) -> list[Candidate]:
-    """Return the candidates that are not among `names`."""
-    return [one for one in everything if one.name not in names]
-
-
 FAMILIES: Mapping[str, tuple[str, ...]] = {
     "dry friction": (
         "coulomb-friction",
@@ -401,7 +395,7 @@ FAMILIES: Mapping[str, tuple[str, ...]] = {
         "presliding-friction",
     ),
     "hysteretic friction": ("presliding-friction", "hysteresis"),
-    "lost motion": ("backlash", "dead-band", "end-stop"),
+    "lost motion": ("backlash", "drive-play", "gear-play", "dead-band", "end-stop"),
     "friction under load": ("load-dependent-friction", "gear-efficiency"),
     "lateness": ("lag", "delay"),
 }
@@ -411,8 +405,9 @@ friction, with another share where the load drives."""
 
 COMMON = (
     "coulomb-friction", "viscous-damping", "constant-force", "bias", "added-mass", "added-inertia", "gain-error",
-    "delay", "lag", "backlash", "stribeck-friction", "load-dependent-friction", "saturation", "end-stop", "dead-band",
-    "quadratic-drag", "cubic-stiffness",
+    "delay", "lag", "backlash", "drive-play", "gravity-compensation", "stribeck-friction", "load-dependent-friction",
+    "saturation", "torque-limit", "end-stop", "dead-band", "quadratic-drag", "cubic-stiffness", "rate-limit",
+    "motion-profile", "integral-term", "asymmetric-damping",
 )  # fmt: skip
 """How often a bench lacks it, most often first (judged, not counted): friction and offsets are everywhere, and so is
 inertia that nobody drew (of a rotor, of water). What is not here comes last."""

@@ -145,7 +145,9 @@ def conclude(
         source=str(dataset.source),
         verdict=decided,
         differs=differs,
-        sentence=ladder.sentence_of(decided, sizes, causes, rest, differs, search.noise),
+        sentence=ladder.sentence_of(
+            decided, sizes, causes, rest, differs, search.noise, complete=not selection.stopped
+        ),
         gap=sizes,
         where=found,
         causes=causes,

@@ -14,10 +14,10 @@ SHARE_OF_GAP = 0.05
 """Share of the squared gap that a cause has to close, of seen and of unseen data; less than that is not searched."""
 ENOUGH_UNITS = 8
 """Units of evidence: with fewer conditions, each is cut into blocks of time until there are so many."""
-LEAST_ERROR = 1e-12
-"""Mean squared error, in units of the noise, below which a prediction is exact."""
 RESAMPLES = 400
 """Resamples of the units of evidence behind confidences and intervals of shares."""
+TEMPERATURE = 4.0
+"""Temperature of confidences: frequencies among resamples are that much too sure of sealed development cases."""
 MOST_CAUSES = 3
 """Causes that may be at work together."""
 RATED = 5

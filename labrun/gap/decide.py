@@ -6,7 +6,7 @@ by a fit that has not seen it. Everything here is arithmetic on such tables: not
 
 1. `beats`: a model replaces a simpler one if its mean log error is lower by more than one standard error over the
    units and a margin of practical size.
-2. `leader`: among candidates that the best one does not beat, the simplest leads; the others are its rivals.
+2. `leader`: among accepted candidates that the best one does not beat, the simplest leads; the others are its rivals.
 3. `win_frequencies`: how often each candidate wins when the units are resampled and steps 1 and 2 repeated.
 
 The one-standard-error rule: Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984), section
@@ -72,9 +72,6 @@ def near_best(errors: FloatArray, strata: IntArray) -> IntArray:
 def leader(errors: FloatArray, complexity: Sequence[tuple[int, int]], strata: IntArray) -> int:
     """Return the row that leads: the simplest of those that the best one does not beat (rule 2).
 
-    Of several with as few parameters, the most common in practice leads among those that predict as well to within the
-    practical margin.
-
     Parameters
     ----------
     errors : (candidates, units)
@@ -83,12 +80,7 @@ def leader(errors: FloatArray, complexity: Sequence[tuple[int, int]], strata: In
         Of each candidate: number of parameters, then how uncommon it is in practice.
     """
     near = near_best(errors, strata)
-    fewest = min(complexity[row][0] for row in near)
-    simplest = [int(row) for row in near if complexity[row][0] == fewest]
-    means = {row: float(np.mean(errors[row])) for row in simplest}
-    least = min(means.values())
-    alike = [row for row in simplest if means[row] <= least + criteria.MARGIN]
-    return min(alike, key=lambda row: (complexity[row][1], means[row]))
+    return int(min(near, key=lambda row: (complexity[row], float(np.mean(errors[row])))))
 
 
 def resamples(strata: IntArray, count: int, rng: np.random.Generator) -> IntArray:
@@ -98,6 +90,16 @@ def resamples(strata: IntArray, count: int, rng: np.random.Generator) -> IntArra
         members = np.flatnonzero(strata == stratum)
         drawn[:, members] = rng.choice(members, (count, len(members)))
     return drawn
+
+
+def tempered(frequency: float, count: int) -> float:
+    """Return a frequency among `count` resamples as a confidence: its log odds over one temperature.
+
+    Resampling the units shows the scatter between conditions, not that a form of the library stands in for another one.
+    """
+    inside = min(max(frequency, 0.5 / count), 1.0 - 0.5 / count)
+    odds = np.log(inside / (1.0 - inside)) / criteria.TEMPERATURE
+    return float(1.0 / (1.0 + np.exp(-odds)))
 
 
 def win_frequencies(
@@ -120,7 +122,10 @@ def win_frequencies(
     """
     wins = np.zeros(len(errors))
     for units in drawn:
-        row = leader(errors[:, units], complexity, strata[units])
-        if beats(errors[row, units], base[units], strata[units]):
-            wins[row] += 1.0
+        accepted = [
+            row for row, error in enumerate(errors) if beats(error[units], base[units], strata[units])
+        ]
+        if accepted:
+            chosen = [complexity[row] for row in accepted]
+            wins[accepted[leader(errors[np.ix_(accepted, units)], chosen, strata[units])]] += 1.0
     return wins / len(drawn)

@@ -5,7 +5,7 @@ correlation time of the residual, so that the standard error over units rests on
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from labrun.fit import Dataset, Problem
 from labrun.gap import criteria
 from labrun.gap.held_out import ExcessResidual, excess, group_means, unseen_residuals
 from labrun.gap.noise import Noise
+
+_LEAST = 1e-12
+"""Mean squared error, in units of the noise, below which a prediction is exact."""
 
 
 @dataclass(frozen=True)
@@ -26,10 +29,14 @@ class Units:
         Number of blocks of time that each condition is cut into.
     strata : (units,)
         Number of the condition of each unit.
+    form_error : (units, m)
+        Mean squared error that an idealised form is allowed in each unit, in units of the noise: it is part of every
+        score, so that forms are not told apart by less.
     """
 
     blocks: tuple[int, ...]
     strata: IntArray
+    form_error: FloatArray
 
     @classmethod
     def of(cls, data: Dataset, residual: Sequence[FloatArray]) -> "Units":
@@ -39,7 +46,12 @@ class Units:
         blocks = tuple(min(wanted, max(1, int(len(mean) / correlation_samples(mean)))) for mean in means)
         if len(blocks) == 1:
             blocks = (max(blocks[0], min(2, len(means[0]))),)
-        return cls(blocks, np.repeat(np.arange(len(blocks)), blocks))
+        count, outputs = sum(blocks), means[0].shape[1]
+        return cls(blocks, np.repeat(np.arange(len(blocks)), blocks), np.zeros((count, outputs)))
+
+    def with_form_error_of(self, gap: FloatArray) -> "Units":
+        """Return the units with the error that forms are allowed of a gap, squares (units, m) of the reference."""
+        return replace(self, form_error=criteria.EXPLAINED_REST**2 * gap)
 
 
 def correlation_samples(residual: FloatArray) -> float:
@@ -65,8 +77,11 @@ class UnseenError:
     Attributes
     ----------
     log : (units,)
-        Logarithm of the mean squared error of each unit, in units of one trial's noise, noise included; of several
-        outputs the mean of their logarithms, so that none outweighs the others.
+        Logarithm of the mean squared error of each unit, in units of one trial's noise, with the noise of one trial and
+        the error that forms are allowed; of several outputs the mean of their logarithms, so that none outweighs the
+        others.
+    squares : (units, m)
+        The mean squared errors, beyond the noise where it is known.
     excess
         The same residuals beyond the noise floor.
     rms : (m,)
@@ -74,6 +89,7 @@ class UnseenError:
     """
 
     log: FloatArray
+    squares: FloatArray = field(repr=False)
     excess: ExcessResidual = field(repr=False)
     rms: FloatArray
 
@@ -104,12 +120,15 @@ def error_of(
     beyond : per trial
         Squares that the trial's own deviations have beyond their spread: a deviation that all trials share is error.
     """
-    logs = []
+    rows: list[FloatArray] = []
     present = [group for group in range(len(data.conditions)) if data.of_group(group)]
-    for group, blocks, (mean, _) in zip(present, units.blocks, group_means(data, residual), strict=True):
+    for group, blocks, (mean, count) in zip(present, units.blocks, group_means(data, residual), strict=True):
         own = float(np.mean([beyond[index] for index in data.of_group(group)])) if beyond else 0.0
-        for part in np.array_split(np.square(mean / noise.sd), blocks):
-            squares = np.maximum(np.mean(part, axis=0) + own, criteria.LEAST_ERROR)
-            logs.append(float(np.mean(np.log(squares))))
+        beyond_noise = own - noise.mean_floor(group, count) if noise.known else own
+        parts = np.array_split(np.square(mean / noise.sd), blocks)
+        rows += [np.maximum(np.mean(part, axis=0) + beyond_noise, _LEAST) for part in parts]
+    squares = np.array(rows)
+    noise_of_trial = 1.0 if noise.known else 0.0  # without repeats it is in the residual already
+    log = np.mean(np.log(squares + noise_of_trial + units.form_error), axis=1)
     rms = np.sqrt(np.mean(np.square(np.concatenate(residual)), axis=0))
-    return UnseenError(np.array(logs), excess(data, noise, residual, beyond), rms)
+    return UnseenError(log, squares, excess(data, noise, residual, beyond), rms)

@@ -4,14 +4,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labrun.arrays import FloatArray
 from labrun.estimate import significant
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Cause, Name, Rest, Rung, Shrinkage, Sizes, Verdict
 from labrun.gap.evidence import UnseenError
+from labrun.gap.held_out import group_means
 from labrun.gap.learnable import dependence, learnable_share
 from labrun.gap.noise import Noise
 from labrun.gap.pipeline import Search
 from labrun.gap.selection import CauseSet
+
+_NEW_CONDITIONS = 3
+"""Conditions of the experiment that the interval of the share is for, where repeats show the noise."""
+_FORM_ERROR, _EXTRAPOLATED = 0.006, 0.6
+"""Widening of that interval: by the idealised form of effects, and below by this part of what is left."""
 
 
 def ladder_of(search: Search, outputs: Sequence[str]) -> tuple[Rung, ...]:
@@ -44,20 +51,47 @@ def sizes_of(search: Search) -> Sizes:
 
 
 def shrinkage_of(search: Search, rng: np.random.Generator) -> Shrinkage | None:
-    """Return the share of the squared gap that the causes remove of unseen data, with a 90 % interval over units."""
+    """Return the share of the squared gap that the causes remove of unseen data, with a 90 % interval.
+
+    The interval is that of an experiment of a few new conditions: conditions are resampled whole, each with the noise
+    of its mean drawn again. It is wider below, since new conditions extrapolate forms and parameters.
+    """
     selection = search.selection
     if not selection.chosen:
         return None
-    before, after = selection.reference.error, selection.error
-    floor = np.mean([search.noise.mean_floor(trial.group, trial.count) for trial in search.data.trials])
-    then, now = (np.exp(error.log) - (floor if search.noise.known else 0.0) for error in (before, after))
-    value = 1.0 - after.excess.total / before.excess.total if before.excess.total > 0.0 else 0.0
-    count = len(then)
-    drawn = rng.integers(0, count, (criteria.RESAMPLES, count))
-    whole = np.sum(then[drawn], axis=1)
-    shares = 1.0 - np.sum(now[drawn], axis=1)[whole > 0.0] / whole[whole > 0.0]
-    low, high = np.percentile(shares, [5.0, 95.0]) if shares.size else (value, value)
-    return Shrinkage(min(value, 1.0), float(min(low, value)), float(min(max(high, value), 1.0)))
+    data, noise = search.data, search.noise
+    before, after = selection.reference.error.excess, selection.error.excess
+    then, now = (group_means(data, error.residual) for error in (before, after))
+    groups = len(then)
+    sizes = np.array([len(mean) for mean, _ in then], dtype=float)
+    fresh = min(groups, _NEW_CONDITIONS) if noise.known else groups
+    shares = []
+    for _ in range(criteria.RESAMPLES):
+        drawn = group_means(data, noise.draw(data, rng))
+        pairs = [
+            [_redrawn(side[group], drawn[group][0], noise, group) for side in (then, now)]
+            for group in range(groups)
+        ]
+        first, second = np.array(pairs).T
+        chosen = rng.integers(0, groups, fresh)
+        total = float(sizes[chosen] @ first[chosen])
+        if total > 0.0:
+            shares.append(1.0 - float(sizes[chosen] @ second[chosen]) / total)
+    value = min(1.0 - after.total / before.total if before.total > 0.0 else 0.0, 1.0)
+    low, high = np.percentile(shares, [5.0, 95.0]) if shares else (value, value)
+    low = min(low, value) - _FORM_ERROR - _EXTRAPOLATED * (1.0 - value)
+    high = max(high, value) + _FORM_ERROR
+    if not noise.known:  # what cannot be told from noise may be no gap that is left
+        high = max(high, 1.0)
+    return Shrinkage(float(value), float(low), float(high))
+
+
+def _redrawn(mean: tuple[FloatArray, int], drawn: FloatArray, noise: Noise, group: int) -> float:
+    """Return the excess had the noise come out differently; its own square is taken off as twice the floor."""
+    residual, count = mean
+    length = min(len(residual), len(drawn))
+    squares = np.mean(np.square((residual[:length] + drawn[:length]) / noise.sd), axis=0)
+    return float(np.mean(squares - 2.0 * noise.mean_floor(group, count)))
 
 
 def rest_of(search: Search, model: CauseSet, *, ask: bool) -> Rest:
@@ -96,7 +130,14 @@ def verdict_of(search: Search, causes: Sequence[Cause], rest: Rest) -> Verdict:
 
 
 def sentence_of(
-    verdict: Verdict, sizes: Sizes, causes: Sequence[Cause], rest: Rest, differs: Sequence[str], noise: Noise
+    verdict: Verdict,
+    sizes: Sizes,
+    causes: Sequence[Cause],
+    rest: Rest,
+    differs: Sequence[str],
+    noise: Noise,
+    *,
+    complete: bool,
 ) -> str:
     """Return the answer as one sentence, behind one on what differs by trial."""
     unit = "the noise of one trial" if noise.known else "the sensor's noise"
@@ -112,10 +153,12 @@ def sentence_of(
             + (f"; as stated, the model was {significant(sizes.raw)} times {unit} off" if helps else "")
         )
     else:
-        text = (
-            "no cause in the library improves the prediction of data that the fit has not seen; "
-            + _rest_words(rest, unit)
+        nothing = (
+            "no cause in the library improves the prediction of data that the fit has not seen"
+            if complete
+            else "the search was stopped before it found a cause"
         )
+        text = f"{nothing}; {_rest_words(rest, unit)}"
     text = f"{text[:1].upper()}{text[1:]}."
     if not differs:
         return text

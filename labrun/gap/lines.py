@@ -5,7 +5,6 @@ starts would be far too coarse, or far too long. And where such a force holds th
 falls into the wrong one never comes back.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,27 +29,14 @@ _FEWEST_WELLS = 3.0
 """Part of the squares of a missing force in one line from which it holds the motion in wells, if it passes so many."""
 
 
-@dataclass(frozen=True)
-class LineStarts:
-    """Where the fits of a candidate begin that comes back along its coordinate.
+def line_starts(problem: Problem, z: FloatArray, candidate: Candidate) -> list[tuple[float, ...]]:
+    """Return where fits of a force that is periodic along its coordinate start; nothing for any other candidate.
 
-    Attributes
-    ----------
-    starts
-        Periods, sine and cosine, in multiples of what is typical at the site; none for any other candidate.
-    among
-        How many periods that the travel tells apart they are the best of: in noise alone the best of many fits, too.
+    Periods, sine and cosine, in multiples of what is typical at the site.
     """
-
-    starts: Sequence[tuple[float, ...]] = ()
-    among: float = 1.0
-
-
-def line_starts(problem: Problem, z: FloatArray, candidate: Candidate) -> LineStarts:
-    """Return where the fits of a candidate begin that comes back along its coordinate; nowhere for any other."""
     missing = _missing(problem, z, candidate)
     if missing is None or candidate.attached is None:
-        return LineStarts()
+        return []
     limits = {one.name: (one.lower, one.upper) for one in candidate.attached.effect.parameters}
     found: list[tuple[float, ...]] = []
     for periods, wave in missing.lines[:_LINES]:
@@ -58,7 +44,7 @@ def line_starts(problem: Problem, z: FloatArray, candidate: Candidate) -> LineSt
         found.append((periods, float(sine), float(cosine)))
     for periods in missing.unpredicted[:_LINES]:  # of these the phase is not known
         found += [(periods, _SMALL_WAVE, sign * _SMALL_WAVE) for sign in (1.0, -1.0)]
-    return LineStarts(found, missing.told_apart)
+    return found
 
 
 def growth_in_wells(problem: Problem, z: FloatArray, candidate: Candidate) -> float:
@@ -86,15 +72,12 @@ class _Missing:
         Mean square of the force.
     unpredicted
         Periods of the lines of what the output's own past does not predict: of small forces beside noise of a colour.
-    told_apart
-        How many of the periods that are looked through differ by one over the whole travel.
     """
 
     accelerates: bool
     lines: list[tuple[float, complex]]
     square: float
     unpredicted: list[float]
-    told_apart: float
 
 
 def _missing(problem: Problem, z: FloatArray, candidate: Candidate) -> _Missing | None:
@@ -118,8 +101,7 @@ def _missing(problem: Problem, z: FloatArray, candidate: Candidate) -> _Missing 
     if column is None:
         force = np.sum(np.concatenate(residuals) / problem.spread, axis=1)
         lines, square = _lines(at * scale.of("per-coordinate"), force, *limits), float(np.var(force))
-        told_apart = _told_apart(at * scale.of("per-coordinate"), *limits)
-        return _Missing(False, [(periods, wave) for periods, wave, _ in lines], square, [], told_apart)
+        return _Missing(False, [(periods, wave) for periods, wave, _ in lines], square, [])
     steps = float(quantum(problem.data)[column]) / abs(slope) * scale.of("per-coordinate")
     limits = limits[0], min(limits[1], 2.0 * np.pi / (_STEPS_A_PERIOD * steps))
     left = [one[:, [column]] for one in residuals]
@@ -137,12 +119,7 @@ def _missing(problem: Problem, z: FloatArray, candidate: Candidate) -> _Missing 
         [(periods, wave) for periods, wave, _ in lines],
         float(np.var(force)),
         [one[0] for one in sharp],
-        _told_apart(along, *limits),
     )
-
-
-def _told_apart(coordinate: FloatArray, lower: float, upper: float) -> float:
-    return max((upper - lower) * float(np.ptp(coordinate)) / (2.0 * np.pi), 1.0)
 
 
 def _shown(coordinate: FloatArray, outputs: FloatArray) -> tuple[int | None, float, float]:

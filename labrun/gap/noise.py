@@ -175,8 +175,6 @@ class Noise:
     energy_freedom
         Degrees of freedom of the energy of one trial's noise: large for noise of a sensor, about 1 where trials differ
         in one way only, as by a friction that changes.
-    innovations
-        Without repeats: whether fits look at what a residual's own past does not predict, not at the residual itself.
     """
 
     sd: FloatArray
@@ -186,7 +184,6 @@ class Noise:
     deviations: tuple[tuple[FloatArray, ...], ...]
     freedom: int
     energy_freedom: float = np.inf
-    innovations: bool = False
 
     @property
     def known(self) -> bool:

@@ -12,7 +12,7 @@ from labrun.gap.averaging import averaged, without_crowding
 from labrun.gap.candidates import Candidate, candidates, site_scales, untried
 from labrun.gap.data_checks import CheckedTrials, require_informative, with_sound_clocks
 from labrun.gap.diagnosis import Name
-from labrun.gap.evidence import Units, UnseenError, error_of, unseen_error
+from labrun.gap.evidence import Units, UnseenError, error_of
 from labrun.gap.held_out import (
     ExcessResidual,
     fitted_excess,
@@ -27,7 +27,6 @@ from labrun.gap.progress import Progress
 from labrun.gap.recalibration import (
     Recalibrated,
     bound_remarks,
-    fitted_in_own_units,
     in_noise,
     recalibrate,
     replaced_terms,
@@ -231,21 +230,6 @@ def _left_beside(problem: Problem, z: FloatArray, noise: Noise, deviations: Sequ
     after, before = mean_residuals(*fitted), mean_residuals(problem, z)
     left, all_of_it = (np.mean(np.square(np.concatenate(one)), axis=0) for one in (after, before))
     return float(np.mean(left / np.where(all_of_it > 0, all_of_it, 1.0)))
-
-
-def _fitted_to_motion(search: Search, noise: Noise) -> Search:
-    """Return a search whose causes are fitted once more to the motion itself, which is what a model has to predict.
-
-    What its own past does not predict tells which causes there are; of their sizes it says less than the motion.
-    """
-    final = search.selection.final
-    problem, z = fitted_in_own_units(noise, final.problem, final.z)
-    final = Base.of(problem, z, final.added, brisk=final.brisk)
-    last = replace(
-        search.selection.steps[-1], base=final, error=unseen_error(problem, z, noise, search.units)
-    )
-    selection = replace(search.selection, steps=(*search.selection.steps[:-1], last))
-    return replace(search, selection=selection)
 
 
 @dataclass(frozen=True)

@@ -211,9 +211,6 @@ def in_units_of(noise: Noise, problem: Problem, z: FloatArray) -> Problem:
     if not noise.known:
         residual = mean_residuals(problem, z)
         sd = np.maximum(np.sqrt(np.mean(np.square(np.concatenate(residual)), axis=0)), noise.sd)
-        if noise.innovations:
-            noise = replace(noise, whitener=fit_whitener([one / sd for one in residual]))
-            residual = [noise.whitener.white(one / sd) for one in residual]
         sd = sd / np.sqrt(independent_share(residual))
     sd = np.sqrt(sd**2 + (criteria.MODEL_ROUNDING * problem.spread) ** 2)
     return problem.with_noise(OutputNoise(1.0 / sd, noise.white_mean))

@@ -109,8 +109,6 @@ class Survey:
         Norm of each change before that, in units of the noise.
     potential
         By how much the sum of squares would fall if one of the changes, in the best measure, were added.
-    among
-        How many starts that differ it was searched among, where they were read from the residual.
     replacing
         A start in the place of a free term of the model, which is zero there; None where no term could be replaced.
     """
@@ -121,7 +119,6 @@ class Survey:
     directions: FloatArray = field(repr=False)
     whole: FloatArray
     potential: float
-    among: float = 1.0
     replacing: FloatArray | None = None
 
     def different(self, most: int) -> list[FloatArray]:
@@ -197,8 +194,8 @@ def survey(base: Base, candidate: Candidate) -> Survey:
     shared, own = base.z[: base.problem.size], base.problem.own_states(base.z)
     before = base.nuisance.remainder(base.residual, base.problem.priors.residual(base.z))
     rated: list[tuple[float, int, FloatArray, FloatArray, float]] = []
-    lines = line_starts(base.problem, base.z, candidate)
-    for number, start in enumerate((*candidate.starts, *lines.starts)):
+    periodic = line_starts(base.problem, base.z, candidate)
+    for number, start in enumerate((*candidate.starts, *periodic)):
         z = np.concatenate([shared, start, own])
         if candidate.attached is None:
             change, whole = _released(base, problem)
@@ -226,7 +223,6 @@ def survey(base: Base, candidate: Candidate) -> Survey:
         directions,
         np.array([whole for *_, whole in rated]),
         potential,
-        lines.among,
         replacing,
     )
 

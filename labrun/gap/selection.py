@@ -67,6 +67,11 @@ class CauseSet:
         return frozenset((candidate.name, candidate.fitted) for candidate in self.base.added)
 
     @property
+    def variables(self) -> int:
+        """Number of variables of the causes."""
+        return sum(candidate.variables for candidate in self.base.added)
+
+    @property
     def complexity(self) -> tuple[int, int]:
         """Number of variables of the causes, then how uncommon they are in practice."""
         variables, ranks = zip(*(candidate.complexity for candidate in self.base.added), strict=True)
@@ -195,8 +200,11 @@ class Selector:
     progress: Progress
     _tables: dict[Forms, Table] = field(default_factory=dict, repr=False)
     _fewer: dict[Forms, CauseSet | None] = field(default_factory=dict, repr=False)
+    _extensions: list[CauseSet] = field(default_factory=list, repr=False)
 
     def __post_init__(self) -> None:
+        gap = self._judged(self.base).error.squares
+        self.units = self.units.with_form_error_of(gap)
         self._best = self.reference = self._judged(self.base)
         self._drawn = decide.resamples(self.units.strata, criteria.RESAMPLES, self.rng)
 
@@ -211,6 +219,7 @@ class Selector:
         except (KeyboardInterrupt, TimeOver) as reason:
             stopped = "time" if isinstance(reason, TimeOver) else "interrupted"
             self.progress.note("stopped early: preparing the best answer so far")
+            self._take_best_judged()
         chosen, steps = self._described(self._best)
         judged = {candidate.name for table in self._tables.values() for candidate in table.judged}
         first, last = self._tables.get(self.reference.forms), self._tables.get(self._best.forms)
@@ -241,6 +250,15 @@ class Selector:
         table = np.array([entry.error.log for entry in sets])
         return sets[decide.leader(table, [entry.complexity for entry in sets], self.units.strata)]
 
+    def _take_best_judged(self) -> None:
+        """Extend the best set by a cause that was judged before its table was complete, if one is accepted."""
+        size = len(self._best.names) + 1
+        larger = [
+            entry for entry in self._extensions if entry.names > self._best.names and len(entry.names) == size
+        ]
+        if larger and self.is_accepted(leader := self._leader(larger), self._best):
+            self._best = leader
+
     def _is_explained(self, model: CauseSet) -> bool:
         """Tell whether nothing worth explaining is left: noise, or less of the gap than a cause has to close."""
         if self.noise.known and model.fitted <= self.floor**2:
@@ -248,30 +266,50 @@ class Selector:
         return model.fitted < criteria.SHARE_OF_GAP * self.reference.fitted
 
     def _forward(self) -> None:
-        """Add causes, or shapes of causes, one step after the other; the first two causes also only together."""
-        best, beam, failed = self.reference, [self.reference], False
-        while len(best.candidates) < criteria.MOST_CAUSES and not self._is_explained(best):
-            self.progress.note(f"looking for a cause {_listed(beam[0])}")
-            larger: dict[Forms, CauseSet] = {}
-            for model in beam:
-                for entry in self._table(model).extended:
-                    known = larger.get(entry.forms)
-                    if known is None or entry.error.mean < known.error.mean:
-                        larger[entry.forms] = entry
-            if not larger:
+        """Add causes, or shapes of causes, one step after the other; the first two causes also only together.
+
+        Beside a cause of several parameters the best of fewer stays in the beam: with a further cause it may explain as
+        much by fewer parameters in all.
+        """
+        beam, failed = [self.reference], False
+        while len(self._best.candidates) < criteria.MOST_CAUSES:
+            if self._is_explained(self._best) and len(beam) < 2:
                 break
-            sets = sorted(larger.values(), key=lambda entry: entry.error.mean)
-            leader = self._leader(sets)
-            if self.is_accepted(leader, best):
-                self._best = best = leader
-                beam = [leader]
+            self.progress.note(f"looking for a cause {_listed(beam[0])}")
+            sets = self._extended_from(beam)
+            if not sets:
+                break
+            accepted = [entry for entry in sets if self.is_accepted(entry, self._best)]
+            leader = self._leader(accepted or sets)
+            if accepted:
+                simpler = [entry for entry in accepted if entry.variables < leader.variables]
+                self._best, beam = leader, [leader, *simpler[:1]]
                 continue
-            if failed or best is not self.reference:
+            simpler = [
+                entry
+                for entry in sets
+                if entry.variables < self._best.variables and not self._beats(self._best, entry)
+            ]
+            if simpler:
+                self._best = self._leader(simpler)
+                beam = [self._best]
+                continue
+            if failed or self._best is not self.reference:
                 break
             # two causes may each predict badly alone: what fits the seen data best stays in the beam, too
             by_fit = min(sets, key=lambda entry: entry.fitted)
             kept = (leader, *sets[: criteria.BEAM - 1], by_fit)
             beam, failed = list({entry.forms: entry for entry in kept}.values()), True
+
+    def _extended_from(self, beam: Sequence[CauseSet]) -> list[CauseSet]:
+        """Return the sets that the tables of a beam hold, each as its best fit, the best first."""
+        larger: dict[Forms, CauseSet] = {}
+        for model in beam:
+            for entry in self._table(model).extended:
+                known = larger.get(entry.forms)
+                if known is None or entry.error.mean < known.error.mean:
+                    larger[entry.forms] = entry
+        return sorted(larger.values(), key=lambda entry: entry.error.mean)
 
     def _exchange(self) -> None:
         """Drop each cause that the others do without, and exchange each for what leads in its place."""
@@ -285,7 +323,12 @@ class Selector:
                     self.progress.note(f"{candidate.name} is not needed beside the others")
                     self._best = without
                     break
-                leader = self._leader(self._in_place_of(best, without))
+                others = [
+                    entry
+                    for entry in self._in_place_of(best, without)[1:]
+                    if self.is_accepted(entry, without)
+                ]
+                leader = self._leader([best, *others])
                 if leader.names != best.names and not self._beats(best, leader):
                     self.progress.note(f"{leader.candidates[-1].name} takes the place of {candidate.name}")
                     self._best = leader
@@ -325,7 +368,8 @@ class Selector:
                 for row in decide.near_best(table, strata)
                 if row != 0 and not self._is_needless_form(best, entries[row], candidate)
             ]
-            confidence = float(wins[0] + (wins[near[0]] if near else 0.0))
+            frequency = float(wins[0] + (wins[near[0]] if near else 0.0))
+            confidence = decide.tempered(frequency, len(self._drawn))
             returns = self.closes(without.error, best.error)
             rivals = tuple(entries[row] for row in near)
             chosen.append(Chosen(candidate, rivals, without, closes, returns, confidence))
@@ -435,7 +479,9 @@ class Selector:
         problem, z = screened.problem, screened.z
         if not self.noise.known:
             problem, z = settled_in_own_units(self.noise, problem, z)
-        return self._judged(self._based(problem, z, (*base.added, screened.candidate)))
+        extension = self._judged(self._based(problem, z, (*base.added, screened.candidate)))
+        self._extensions.append(extension)
+        return extension
 
     def _judged(self, base: Base) -> CauseSet:
         problem, z = base.problem, base.z

@@ -1,8 +1,8 @@
-"""From streams with stamps as they came to one table that can be trusted, and the trials in it.
+"""From streams with stamps as they came to one table that can be trusted.
 
 The rule for stamps: those that repeat or run backwards are dropped, up to 5 % of them, beyond which the log is refused;
 stamps of receipt that scatter by more than a third of a period, without a gap, are replaced by even ones; where more
-than five periods are missing the log is cut. Everything that is done is said.
+than five periods are missing the log is cut. Everything that is done is said, with its number.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,18 +15,14 @@ from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
-from labrun.logs.matching import Match, values_of
+from labrun.logs.findings import Finding, Statement
+from labrun.logs.matching import Match, Wanted
 from labrun.logs.streams import Stream
 
 MOST_DROPPED = 0.05
 GAP_PERIODS = 5.0
 JITTER = 1 / 3
-REST_S = 0.5
-LEAST_TRIAL_S = 0.5
 LEAST_SAMPLES = 20
-LONG_S = 30.0
-CUT_S = 10.0
-OFFSET_S = 0.005
 STUCK_S = 0.3
 PUSH_AFTER_S = 2.0
 _LIVELY = 0.5
@@ -35,9 +31,6 @@ _COARSE = 0.5
 """Fewer different numbers than this share of the samples, and a sensor's steps are coarser than its noise."""
 _OFTEN = 0.02
 """So is one that repeats a number more often than this where it is not frozen: friction holds joints still."""
-_NOISE_STEPS, _NOISE_WANDERS = 12.0, 0.5
-"""A joint never moved whose span is at most so many median steps (noise: about 8) and whose means over a rest's length
-span at most that part of it (0.2)."""
 _JUMP = 2.0
 """A coarse sensor was frozen if it goes on with a step so many times its fastest ones."""
 
@@ -49,26 +42,40 @@ class LogTable:
     Attributes
     ----------
     time_s : (n,)
-        From the first sample.
+        From the first sample; where episodes or logs follow one another, each goes on after the one before.
     values : (n, channels)
-        In the order of `matches`.
-    matches
+        In the order of `wanted`.
+    wanted
+    has
+        Whether the log has each channel.
     broken : (n,)
         Whether a gap, or another episode, lies before a sample.
+    episode : (n,)
+        Which episode of the log a sample belongs to; None where the log has none.
+    log : (n,)
+        Which of several logs, from 0.
     """
 
     time_s: FloatArray
     values: FloatArray
-    matches: tuple[Match, ...]
+    wanted: tuple[Wanted, ...]
+    has: tuple[bool, ...]
     broken: NDArray[np.bool_]
+    episode: NDArray[np.int64] | None
+    log: NDArray[np.int64]
 
     def recorded(self, kind: Literal["input", "output"]) -> list[int]:
         """Return the columns of the inputs, or of the outputs, that the log has."""
         return [
             place
-            for place, one in enumerate(self.matches)
-            if one.wanted.kind == kind and one.stream is not None
+            for place, (wanted, has) in enumerate(zip(self.wanted, self.has, strict=True))
+            if wanted.kind == kind and has
         ]
+
+    @property
+    def period_s(self) -> float:
+        """The usual time between two samples."""
+        return float(np.median(np.diff(self.time_s)))
 
 
 @dataclass(frozen=True)
@@ -79,32 +86,46 @@ class Piece:
     end: int
 
 
-def repaired(
-    stream: Stream, used: Sequence[int]
-) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.bool_], list[str]]:
-    """Return the good stamps of a stream, which samples they are of, where it is broken, and what was done.
+@dataclass(frozen=True)
+class _Repaired:
+    """The good samples of a stream.
 
-    `used`: its columns that must hold a number. Raises RecordingError: more stamps repeat or run backwards than the
-    rule allows.
+    Attributes
+    ----------
+    time_s, index : (m,)
+        Stamps, and which samples of the stream they are of.
+    broken : (m,)
+        Whether a gap or another episode lies before a sample.
+    gap : (m,)
+        Whether a gap does.
     """
-    said: list[str] = []
-    finite = np.isfinite(stream.time_s)
-    for place in used:
-        finite &= np.isfinite(stream.columns[place].values)
-    index = np.flatnonzero(finite)
-    if len(index) < len(stream.time_s):
-        said.append(f"{stream.name}: {len(stream.time_s) - len(index)} samples without a number are left out")
+
+    time_s: FloatArray
+    index: NDArray[np.int64]
+    broken: NDArray[np.bool_]
+    gap: NDArray[np.bool_]
+
+
+def repaired(stream: Stream, finite: NDArray[np.bool_]) -> tuple[_Repaired, list[Finding]]:
+    """Return the good samples of a stream, and what was done.
+
+    `finite`: which samples hold a number in every column that is used. Raises RecordingError: more stamps repeat or run
+    backwards than the rule allows.
+    """
+    findings: list[Finding] = []
+
+    def say(text: str) -> None:
+        findings.append(Statement(f"{stream.name}: {text}"))
+
+    index = np.flatnonzero(finite & np.isfinite(stream.time_s))
+    if lost := len(stream.time_s) - len(index):
+        say(f"{lost} sample{'s' * (lost != 1)} without a number {'are' if lost != 1 else 'is'} left out")
     if len(index) < 2:
         raise RecordingError(f"{stream.name} has no two whole samples")
     time_s = stream.time_s[index]
     episode = stream.episode[index] if stream.episode is not None else np.zeros(len(index), dtype=np.int64)
     edge = np.append(True, episode[1:] != episode[:-1])
-    highest, kept = -np.inf, np.zeros(len(index), dtype=bool)
-    for number, stamp in enumerate(time_s):
-        if edge[number]:
-            highest = -np.inf
-        kept[number] = stamp > highest
-        highest = max(highest, float(stamp))
+    kept = _increasing(time_s, edge)
     dropped = int((~kept).sum())
     if dropped > MOST_DROPPED * len(index):
         raise RecordingError(
@@ -112,30 +133,41 @@ def repaired(
             hint="its clock or its order is broken: nothing was imported",
         )
     if dropped:
-        said.append(f"{stream.name}: {dropped} samples whose stamps repeat or run backwards are left out")
-    time_s, index, edge = time_s[kept], index[kept], edge[kept]
+        say(f"{dropped} samples whose stamps repeat or run backwards are left out")
+    time_s, index, episode = time_s[kept], index[kept], episode[kept]
+    edge = np.append(True, episode[1:] != episode[:-1])
     steps = np.diff(time_s)
     inside = steps[~edge[1:] & (steps > 0)]
     period = float(np.median(inside)) if len(inside) else 1.0
-    gaps = np.append(False, (steps > GAP_PERIODS * period) & ~edge[1:])
-    if gaps.any():
-        count = int(gaps.sum())
-        said.append(
-            f"{stream.name}: {count} gap{'s' * (count != 1)} of more than {GAP_PERIODS:g} periods, the longest "
-            f"{float(steps[gaps[1:]].max()):.3g} s; it is cut there"
+    gap = np.append(False, (steps > GAP_PERIODS * period) & ~edge[1:])
+    if gap.any():
+        count, longest = int(gap.sum()), float(steps[gap[1:]].max())
+        say(
+            f"{count} gap{'s' * (count != 1)} of more than {GAP_PERIODS:g} periods, the longest {longest:.3g} s; "
+            "it is cut there"
         )
     scatter = float(np.std(inside)) / period if len(inside) else 0.0
-    if stream.received and scatter > JITTER and not gaps.any() and not edge[1:].any():
+    if stream.received and scatter > JITTER and not gap.any() and not edge[1:].any():
         even = np.linspace(time_s[0], time_s[-1], len(time_s))
-        said.append(
-            f"{stream.name}: stamps of receipt scatter by {scatter:.0%} of the period, and are replaced by even ones, "
-            f"at most {1e3 * float(np.abs(even - time_s).max()):.3g} ms from them"
+        say(
+            f"stamps of receipt scatter by {scatter:.0%} of the period, and are replaced by even ones, at most "
+            f"{1e3 * float(np.abs(even - time_s).max()):.3g} ms from them"
         )
         time_s = even
-    return time_s, index, gaps | edge, said
+    return _Repaired(time_s, index, gap | edge, gap), findings
 
 
-def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[str]]:
+def _increasing(time_s: FloatArray, edge: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which stamps are later than all before them in their episode."""
+    kept = np.ones(len(time_s), dtype=bool)
+    starts = [*np.flatnonzero(edge).tolist(), len(time_s)]
+    for first, end in pairwise(starts):
+        highest = np.maximum.accumulate(time_s[first:end])
+        kept[first + 1 : end] = time_s[first + 1 : end] > highest[:-1]
+    return kept
+
+
+def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[Finding]]:
     """Return one table on the stamps of what is measured: goals by what stood, other measurements by straight lines.
 
     Raises
@@ -143,70 +175,175 @@ def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[str]]:
     RecordingError
         A stream cannot be repaired, or the streams do not overlap.
     """
-    streams = [*{id(one.stream): one.stream for one in matches if one.stream is not None}.values()]
+    streams = [*{id(match.stream): match.stream for match in matches if match.stream is not None}.values()]
     if not streams:
         none = (
             "nothing of the model is in the log"
             if matches
-            else "the model has no hinge or slide to compare a log with"
+            else "the robot has no hinge or slide, and no actuator, that a log could tell of"
         )
-        raise RecordingError(none, hint="look at --map" if matches else None)
-    measured = [
-        sum(one.stream is stream and one.wanted.kind == "output" for one in matches) for stream in streams
-    ]
-    base = streams[int(np.argmax(measured))]
-    said: list[str] = [remark for stream in streams for remark in stream.remarks]
-    good: dict[int, tuple[FloatArray, NDArray[np.int64], NDArray[np.bool_]]] = {}
+        raise RecordingError(none)
+    base = max(streams, key=lambda stream: (_outputs(stream, matches), len(stream.time_s)))
+    findings: list[Finding] = []
+    good: dict[int, _Repaired] = {}
     for stream in streams:
-        used = [
-            place
-            for place, column in enumerate(stream.columns)
-            if any(one.column is column for one in matches)
-        ]
-        stamps, index, broken, told = repaired(stream, used)
-        good[id(stream)] = stamps, index, broken
-        said += told
-    time_s, _, broken = good[id(base)]
-    first = max(float(good[id(one)][0][0]) for one in streams)
-    last = min(float(good[id(one)][0][-1]) for one in streams if _measures(one, matches) or one is base)
-    inside = (time_s >= first) & (time_s <= last)
-    if inside.sum() < LEAST_SAMPLES:
-        if len(time_s) < LEAST_SAMPLES:
+        finite = np.ones(len(stream.time_s), dtype=bool)
+        for match in matches:
+            if match.stream is stream and match.column is not None:
+                finite &= np.isfinite(match.column.values)
+        good[id(stream)], told = repaired(stream, finite)
+        findings += told
+    parts, outside, lost = [], 0, []
+    own = good[id(base)]
+    labels = None if base.episode is None else base.episode[own.index]
+    episodes = [None] if labels is None else list(dict.fromkeys(labels.tolist()))
+    for episode in episodes:
+        rows = np.arange(len(own.time_s)) if labels is None else np.flatnonzero(labels == episode)
+        part = _on_base(matches, base, streams, good, rows, episode)
+        if len(part[0]) < min(LEAST_SAMPLES, len(rows)) and labels is not None:
+            lost.append(episode)
+            continue
+        outside += len(rows) - len(part[0])
+        parts.append(part)
+    if labels is not None and lost:
+        text = f"{len(lost)} of {len(episodes)} episodes have fewer than {LEAST_SAMPLES} samples; left out"
+        findings.append(Statement(text))
+    time_s, rows_kept, values = _concatenated(parts)
+    if len(time_s) < LEAST_SAMPLES:
+        if len(own.time_s) < LEAST_SAMPLES:
             raise RecordingError(
-                f"{base.name} has {len(time_s)} samples with a stamp of their own; at least {LEAST_SAMPLES} are needed"
+                f"{base.name} has {len(own.time_s)} samples with a stamp of their own; at least {LEAST_SAMPLES} are "
+                "needed"
             )
-        raise RecordingError(
-            "the topics do not overlap in time: "
-            + "; ".join(
-                f"{one.name} {good[id(one)][0][0]:.3f} to {good[id(one)][0][-1]:.3f} s" for one in streams
-            ),
-            hint="are their stamps of one clock?",
+        spans = "; ".join(
+            f"{stream.name} {good[id(stream)].time_s[0]:.3f} to {good[id(stream)].time_s[-1]:.3f} s"
+            for stream in streams
         )
-    if outside := len(time_s) - int(inside.sum()):
+        raise RecordingError(
+            f"the topics do not overlap in time: {spans}", hint="are their stamps of one clock?"
+        )
+    if outside:
         samples = "1 sample" if outside == 1 else f"{outside} samples"
-        said.append(f"{samples} before or after the other topics left out")
-    at = time_s[inside]
+        findings.append(Statement(f"{samples} before or after the other topics, or in their gaps, left out"))
+    broken = own.broken[rows_kept] | np.append(True, np.diff(rows_kept) != 1)
+    others = [stream.name for stream in streams if stream is not base]
+    if others:
+        text = (
+            f"stamps of {base.name} count; goals stand until the next one, with their mean from stamp to stamp, other "
+            f"measurements run straight between theirs: {', '.join(others)}"
+        )
+        findings.append(Statement(text))
+    table = LogTable(
+        time_s, values, tuple(match.wanted for match in matches), tuple(match.stream is not None for match in matches),
+        broken, None if labels is None else labels[rows_kept], np.zeros(len(time_s), dtype=np.int64),
+    )  # fmt: skip
+    return table, findings
+
+
+def joined(tables: Sequence[LogTable]) -> LogTable:
+    """Return the tables of several logs of one robot as one.
+
+    Raises RecordingError: they do not hold the same channels.
+    """
+    first = tables[0]
+    for number, table in enumerate(tables[1:], 2):
+        if table.has != first.has:
+            names = [
+                wanted.channel
+                for wanted, own, other in zip(first.wanted, table.has, first.has, strict=True)
+                if own != other
+            ]
+            raise RecordingError(
+                f"log {number} and log 1 do not both have {', '.join(names)}",
+                hint=f"leave it out of all of them: --map {names[0]}=none",
+            )
+    starts = np.cumsum([0.0, *(float(table.time_s[-1]) + table.period_s for table in tables[:-1])])
+    episode = None
+    if any(table.episode is not None for table in tables):
+        episode = np.concatenate(
+            [
+                np.zeros(len(one.time_s), dtype=np.int64) if one.episode is None else one.episode
+                for one in tables
+            ]
+        )
+    return LogTable(
+        np.concatenate([table.time_s + start for table, start in zip(tables, starts, strict=True)]),
+        np.concatenate([table.values for table in tables]), first.wanted, first.has,
+        np.concatenate([table.broken for table in tables]), episode,
+        np.concatenate([np.full(len(table.time_s), number) for number, table in enumerate(tables)]),
+    )  # fmt: skip
+
+
+def _outputs(stream: Stream, matches: Sequence[Match]) -> int:
+    return sum(match.stream is stream and match.wanted.kind == "output" for match in matches)
+
+
+def _concatenated(
+    parts: Sequence[tuple[FloatArray, NDArray[np.int64], FloatArray]],
+) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+    """Return the parts one after another, each a period after the one before."""
+    if not parts:
+        return np.empty(0), np.empty(0, dtype=np.int64), np.empty((0, 0))
+    period = max((float(np.median(np.diff(one[0]))) for one in parts if len(one[0]) > 1), default=1.0)
+    times, begin = [], 0.0
+    for time_s, _, _ in parts:
+        if len(time_s):
+            times.append(time_s - time_s[0] + begin)
+            begin = float(times[-1][-1]) + period
+    return (
+        np.concatenate(times) if times else np.empty(0),
+        np.concatenate([part[1] for part in parts]),
+        np.concatenate([part[2] for part in parts]),
+    )
+
+
+def _on_base(
+    matches: Sequence[Match],
+    base: Stream,
+    streams: Sequence[Stream],
+    good: dict[int, _Repaired],
+    rows: NDArray[np.int64],
+    episode: int | None,
+) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+    """Return the stamps of an episode that all streams cover, their rows of the base, and all channels there."""
+    own = good[id(base)]
+    covering: dict[int, tuple[FloatArray, NDArray[np.int64]]] = {}
+    at = own.time_s[rows]
+    inside = np.ones(len(at), dtype=bool)
+    for stream in streams:
+        if stream is base:
+            continue
+        part = good[id(stream)]
+        labels = None if stream.episode is None or episode is None else stream.episode[part.index]
+        kept = np.ones(len(part.index), dtype=bool) if labels is None else labels == episode
+        stamps, index = part.time_s[kept], part.index[kept]
+        if not len(stamps):
+            inside[:] = False
+            continue
+        covering[id(stream)] = stamps, index
+        inside &= at >= stamps[0]
+        if _outputs(stream, matches):
+            inside &= at <= stamps[-1]
+            for end in np.flatnonzero(part.gap[kept]):
+                inside &= (at <= stamps[end - 1]) | (at >= stamps[end])
+    at = at[inside]
     values = np.zeros((len(at), len(matches)))
     for place, match in enumerate(matches):
-        if match.stream is None:
+        if match.stream is None or not len(at):
             continue
-        stamps, index, _ = good[id(match.stream)]
-        course = values_of(match)[index]
+        whole = match.in_si()
         if match.stream is base:
-            values[:, place] = course[inside]
-        elif match.wanted.goal:
+            values[:, place] = whole[own.index[rows[inside]]]
+            continue
+        stamps, index = covering[id(match.stream)]
+        course = whole[index]
+        if match.wanted.goal:
             values[:, place] = _standing(at, stamps, course)
         elif match.wanted.kind == "input":
             values[:, place] = course[np.maximum(np.searchsorted(stamps, at, side="right") - 1, 0)]
         else:
             values[:, place] = np.interp(at, stamps, course)
-    others = [stream.name for stream in streams if stream is not base]
-    if others:
-        said.append(
-            f"stamps of {base.name} count; goals stand until the next one, with their mean from stamp to stamp, other "
-            f"measurements run straight between theirs: {', '.join(others)}"
-        )
-    return LogTable(at - at[0], values, tuple(matches), broken[inside]), [*said, *_offset(streams)]
+    return at, rows[inside], values
 
 
 def _standing(at: FloatArray, stamps: FloatArray, course: FloatArray) -> FloatArray:
@@ -214,7 +351,7 @@ def _standing(at: FloatArray, stamps: FloatArray, course: FloatArray) -> FloatAr
 
     What stood at each time would come late by half a period in the mean: as much as a clock that is off.
     """
-    period = float(np.median(np.diff(at)))
+    period = float(np.median(np.diff(at))) if len(at) > 1 else 0.0
     ends = np.append(at[1:], at[-1] + period)
     first = np.maximum(np.searchsorted(stamps, at, side="right") - 1, 0)
     last = np.maximum(np.searchsorted(stamps, ends, side="left") - 1, first)
@@ -228,26 +365,9 @@ def _standing(at: FloatArray, stamps: FloatArray, course: FloatArray) -> FloatAr
     return values
 
 
-def _offset(streams: Sequence[Stream]) -> list[str]:
-    """Return a sentence if the stamps of one stream lie further before their receipt than those of another."""
-    told = sorted((one.before_receipt_s, one.name) for one in streams if one.before_receipt_s is not None)
-    if not told or told[-1][0] - told[0][0] <= OFFSET_S:
-        return []
-    (least, early), (most, late) = told[0], told[-1]
-    return [
-        f"stamps of {late} lie {1e3 * most:.1f} ms before their receipt, those of {early} {1e3 * least:.1f} ms: the "
-        f"{1e3 * (most - least):.1f} ms between are the way to the recorder or a clock that is off, which the log "
-        "cannot tell; stamps are taken as they are"
-    ]
-
-
-def _measures(stream: Stream, matches: Sequence[Match]) -> bool:
-    return any(one.stream is stream and one.wanted.kind == "output" for one in matches)
-
-
 def unusable(table: LogTable) -> Iterator[tuple[Piece, str]]:
     """Yield what cannot be trusted: a sensor that stands still or at its end, and motion that nobody commanded."""
-    period = float(np.median(np.diff(table.time_s)))
+    period = table.period_s
     long = max(LEAST_SAMPLES, round(STUCK_S / period))
     inputs, outputs = table.recorded("input"), table.recorded("output")
     for place in outputs:
@@ -257,8 +377,8 @@ def unusable(table: LogTable) -> Iterator[tuple[Piece, str]]:
             continue  # an encoder's steps: standing still is nothing special
         steps = np.abs(np.diff(course))
         # where an encoder's steps show through, a joint at rest stands on one number: only a jump afterwards tells
-        runs = _runs(same)
-        short = sum(one.end - one.first for one in runs if one.end - one.first < long)
+        runs = runs_of(same)
+        short = sum(piece.end - piece.first for piece in runs if piece.end - piece.first < long)
         coarse = len(np.unique(course)) < _COARSE * len(course) or short > _OFTEN * len(course)
         jump = _JUMP * float(np.quantile(steps, 0.99)) if coarse else 0.0
         for piece in runs:
@@ -268,114 +388,29 @@ def unusable(table: LogTable) -> Iterator[tuple[Piece, str]]:
             if piece.end - piece.first >= long:
                 ends = (course.min(), course.max())
                 what = "stands at the end of its range" if course[piece.first] in ends else "is frozen"
-                yield Piece(piece.first - 1, piece.end), f"{table.matches[place].wanted.channel} {what}"
+                yield Piece(piece.first - 1, piece.end), f"{table.wanted[place].channel} {what}"
     if not inputs or not outputs:
         return
     still = np.append(False, (np.diff(table.values[:, inputs], axis=0) == 0.0).all(axis=1)) & ~table.broken
     after = round(PUSH_AFTER_S / period)
-    for piece in _runs(still):
-        begun = piece.first + after
-        if piece.end - begun < long:
+    for piece in runs_of(still):
+        start = piece.first + after
+        if piece.end - start < long:
             continue
         for place in outputs:
-            course = table.values[begun : piece.end, place]
+            course = table.values[start : piece.end, place]
             noise = 1.4826 * float(np.median(np.abs(course - np.median(course))))
             span = float(np.ptp(table.values[:, place]))
             moved = np.abs(course - np.median(course)) > max(0.05 * span, 8 * noise)
             if moved.any():
                 where = np.flatnonzero(moved)
                 yield (
-                    Piece(begun + int(where[0]), begun + int(where[-1]) + 1),
-                    f"{table.matches[place].wanted.channel} moves while nothing is commanded, as if pushed by hand",
+                    Piece(start + int(where[0]), start + int(where[-1]) + 1),
+                    f"{table.wanted[place].channel} moves while nothing is commanded, as if pushed by hand",
                 )
 
 
-def _runs(flags: NDArray[np.bool_]) -> list[Piece]:
+def runs_of(flags: NDArray[np.bool_]) -> list[Piece]:
+    """Return where flags are set, run by run."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
     return [Piece(int(first), int(end)) for first, end in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def cut(table: LogTable, every_s: float | None, bad: Sequence[Piece]) -> tuple[list[Piece], str]:
-    """Return the trials, and how they were cut: at rests, or every so many seconds."""
-    usable = np.ones(len(table.time_s), dtype=bool)
-    for piece in bad:
-        usable[piece.first : piece.end] = False
-    starts = table.broken.copy()
-    starts[0] = True
-    pieces: list[Piece] = []
-    for run in _runs(usable):
-        inner = [
-            run.first,
-            *(run.first + 1 + np.flatnonzero(starts[run.first + 1 : run.end])).tolist(),
-            run.end,
-        ]
-        pieces += [Piece(first, end) for first, end in pairwise(inner)]
-    if every_s is not None:
-        return _kept(
-            table, [part for piece in pieces for part in _evenly(table, piece, every_s)]
-        ), f"every {every_s:g} s"
-    rests = _rests(table)
-    at_rest = _kept(table, [part for piece in pieces for part in _between_rests(table, piece, rests)])
-    if len(at_rest) > len(_kept(table, pieces)):
-        return at_rest, f"at rests of {REST_S:g} s and more"
-    if max(table.time_s[piece.end - 1] - table.time_s[piece.first] for piece in pieces) > LONG_S:
-        parts = [part for piece in pieces for part in _evenly(table, piece, CUT_S)]
-        return _kept(table, parts), f"every {CUT_S:g} s, as it has no rests"
-    return _kept(table, pieces), "not at all" if len(pieces) == 1 else "where it is broken"
-
-
-def _rests(table: LogTable) -> list[Piece]:
-    """Return where nothing is told and nothing moves."""
-    period = float(np.median(np.diff(table.time_s)))
-    width = max(2, round(REST_S / period))
-    quiet = np.ones(len(table.time_s), dtype=bool)
-    for place, match in enumerate(table.matches):
-        if match.stream is None:
-            continue
-        course, span = table.values[:, place], float(np.ptp(table.values[:, place]))
-        if span == 0.0:
-            continue
-        noise = float(np.median(np.abs(np.diff(course)))) if match.wanted.kind == "output" else 0.0
-        windows = np.lib.stride_tricks.sliding_window_view(course, min(width, len(course)))
-        if span <= _NOISE_STEPS * noise and np.ptp(windows.mean(axis=1)) <= _NOISE_WANDERS * span:
-            continue  # a joint that never moves shows its noise only: it rests all the time
-        calm = np.ptp(windows, axis=1) <= max(0.01 * span, min(6 * noise, 0.03 * span))
-        covered = np.zeros(len(course), dtype=bool)
-        for first in np.flatnonzero(calm):
-            covered[first : first + width] = True
-        quiet &= covered
-    return [piece for piece in _runs(quiet) if piece.end - piece.first >= width]
-
-
-def _between_rests(table: LogTable, piece: Piece, rests: Sequence[Piece]) -> list[Piece]:
-    """Cut in each rest inside, a fixed time before the next goal, so that repeats of a motion begin alike."""
-    lead = max(1, round(REST_S / 2 / float(np.median(np.diff(table.time_s)))))
-    inputs = table.recorded("input")
-    told = np.flatnonzero((np.diff(table.values[:, inputs], axis=0) != 0.0).any(axis=1))
-    edges = [piece.first]
-    for rest in rests:
-        middle = (rest.first + rest.end) // 2
-        after = told[told >= middle]
-        if inputs and not len(after):
-            break
-        edge = max(rest.first, int(after[0]) - lead) if inputs else middle
-        if piece.first < edge < piece.end:
-            edges = [edge] if rest.first <= piece.first else [*edges, edge]
-    edges.append(piece.end)
-    return [Piece(first, end) for first, end in pairwise(edges)]
-
-
-def _evenly(table: LogTable, piece: Piece, every_s: float) -> list[Piece]:
-    time_s = table.time_s[piece.first : piece.end]
-    marks = np.arange(time_s[0] + every_s, time_s[-1] + 1e-9, every_s)
-    edges = [piece.first, *(piece.first + np.searchsorted(time_s, marks)).tolist(), piece.end]
-    return [Piece(first, end) for first, end in pairwise(edges) if end > first]
-
-
-def _kept(table: LogTable, pieces: Sequence[Piece]) -> list[Piece]:
-    return [
-        piece
-        for piece in pieces
-        if piece.end - piece.first >= LEAST_SAMPLES
-        and table.time_s[piece.end - 1] - table.time_s[piece.first] >= LEAST_TRIAL_S
-    ]

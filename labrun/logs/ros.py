@@ -1,145 +1,226 @@
 """ROS bags of either generation, and MCAP, by the library rosbags."""
 
-from collections.abc import Iterator
+from array import array
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from labrun.errors import RecordingError, RequestError
+from labrun.logs.findings import Statement
 from labrun.logs.streams import Column, Stream, column, vector
 
-_STATES = "JointState"
+_STATES = ("JointState",)
 _TRAJECTORIES = ("JointTrajectory",)
 _CONTROLLERS = ("JointTrajectoryControllerState",)
 _ARRAYS = ("Float64MultiArray", "Float32MultiArray", "Float64", "Float32")
-_OTHER_CLOCK_S = 0.5
-"""Stamps further than this from their receipt are of another clock (chosen: a network's delay is far below)."""
+_KINDS = (*_STATES, *_TRAJECTORIES, *_CONTROLLERS, *_ARRAYS)
+_PARTS = {"position": "rad", "velocity": "", "effort": "", "reference": "rad", "command": "rad"}
+
+
+@dataclass
+class _Writer:
+    """The messages of one topic by one writer, about the same joints in the same order.
+
+    Attributes
+    ----------
+    order
+        Number of each message among those of its topic.
+    received_s, stamped_s
+        One for each message; `stamped_s` is not a number where the message has no stamp, and the receipt of the
+        trajectory where it is a point of one.
+    parts
+        Of each part (``position``), the values of all messages one after another.
+    """
+
+    names: tuple[str, ...]
+    order: "array[int]" = field(default_factory=lambda: array("q"))
+    received_s: "array[float]" = field(default_factory=lambda: array("d"))
+    stamped_s: "array[float]" = field(default_factory=lambda: array("d"))
+    parts: dict[str, "array[float]"] = field(default_factory=dict)
+
+    def add(self, number: int, received_s: float, stamped_s: float, parts: dict[str, Any]) -> None:
+        self.order.append(number)
+        self.received_s.append(received_s)
+        self.stamped_s.append(stamped_s)
+        for part, values in parts.items():
+            whole = len(values) == len(self.names)
+            self.parts.setdefault(part, array("d")).extend(
+                map(float, values) if whole else [float("nan")] * len(self.names)
+            )
 
 
 def read_bag(path: Path) -> list[Stream]:
-    """Read joint states, trajectories, controllers' states and arrays of numbers; other topics are passed over."""
+    """Read joint states, trajectories, controllers' states and arrays of numbers; other topics are passed over.
+
+    The joints of a topic are those of all its messages. Joints that no message names together have their own stamps.
+    """
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise RequestError(f"{path} needs the package rosbags", hint='pip install "labrun[ros]"') from None
-    gathered: dict[str, list[tuple[float, Any]]] = {}
+    topics: dict[str, dict[Any, _Writer]] = {}
     kinds: dict[str, str] = {}
+    passed: dict[str, str] = {}
+    empty: dict[str, int] = {}
+    count = 0
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            passed = {one.topic: one.msgtype for one in reader.connections if not _kind(one.msgtype)}
             wanted = [one for one in reader.connections if _kind(one.msgtype)]
             zero = reader.start_time
             for connection, stamp, data in reader.messages(connections=wanted):
-                kinds[connection.topic] = _kind(connection.msgtype)
+                kind = kinds[connection.topic] = _kind(connection.msgtype)
                 message = reader.deserialize(data, connection.msgtype)
-                gathered.setdefault(connection.topic, []).append(((stamp - zero) * 1e-9, message))
+                received_s = (stamp - zero) * 1e-9
+                rows = list(_rows(kind, message, received_s, zero))
+                empty[connection.topic] = empty.get(connection.topic, 0) + (not rows)
+                for names, frame, stamped_s, after_s, parts in rows:
+                    writers = topics.setdefault(connection.topic, {})
+                    # of ROS 1 each writer has a connection; of ROS 2 joints and frame tell them apart
+                    key = (connection.id if _caller(connection) else 0, names, frame)
+                    writers.setdefault(key, _Writer(names)).add(count, received_s + after_s, stamped_s, parts)
+                    count += 1
     except (AnyReaderError, OSError, ValueError, KeyError) as error:
         hint = "its recorder did not close it: mcap recover" if "magic" in str(error) else None
         raise RecordingError(f"{path} cannot be read as a bag: {error}", hint=hint) from None
-    if not gathered:
+    if not topics:
+        others = (
+            f"; it has {', '.join(f'{topic} ({kind})' for topic, kind in list(passed.items())[:6])}"
+            if passed
+            else ""
+        )
         raise RecordingError(
-            f"{path} has no joint states, trajectories or arrays",
+            f"{path} has no joint states, trajectories or arrays{others}",
             hint="sensor_msgs/JointState, trajectory_msgs/JointTrajectory, std_msgs/Float64MultiArray",
         )
     return [
         stream
-        for topic, messages in gathered.items()
-        for stream in _streams(topic, kinds[topic], messages, zero)
+        for topic, writers in topics.items()
+        for stream in _streams(topic, kinds[topic], list(writers.values()), empty[topic])
     ]
 
 
 def _kind(msgtype: str) -> str:
     kind = msgtype.rpartition("/")[2]
-    return kind if kind in (_STATES, *_TRAJECTORIES, *_CONTROLLERS, *_ARRAYS) else ""
+    return kind if kind in _KINDS else ""
 
 
-def _streams(topic: str, kind: str, messages: list[tuple[float, Any]], zero: int) -> Iterator[Stream]:
-    received = np.array([stamp for stamp, _ in messages])
-    said = [message for _, message in messages]
-    if kind in _TRAJECTORIES:
-        time_s, columns = _points(topic, received, said)
-        yield Stream(topic, time_s, tuple(columns), received=True, before_receipt_s=0.0)
-        return
+def _caller(connection: Any) -> str:
+    return getattr(connection.ext, "callerid", None) or ""
+
+
+def _rows(
+    kind: str, message: Any, received_s: float, zero: int
+) -> Iterator[tuple[tuple[str, ...], str, float, float, dict[str, Any]]]:
+    """Yield joints, frame, stamp, time after receipt and values by part of what a message says."""
     if kind in _ARRAYS:
-        values = [np.atleast_1d(np.asarray(message.data, dtype=np.float64)) for message in said]
-        width = max(len(one) for one in values)
-        kept = [index for index, one in enumerate(values) if len(one) == width]
-        numbers = tuple(vector(topic, np.array([values[i] for i in kept])))
-        yield Stream(topic, received[kept], numbers, received=True, before_receipt_s=0.0)
+        values = np.atleast_1d(np.asarray(message.data, dtype=np.float64))
+        if len(values):
+            yield tuple(map(str, range(len(values)))), "", float("nan"), 0.0, {"data": values}
         return
-    time_s, by_receipt, remarks = _stamps(topic, received, said, zero)
-    names = tuple(_names(said[0]))
-    parts = _state_parts(said) if kind == _STATES else _controller_parts(said)
-    columns = []
-    for part, lists in parts.items():
-        table = np.array(
-            [_ordered(names, message, values) for message, values in zip(said, lists, strict=True)]
-        )
-        for place, name in enumerate(names):
-            if not np.isnan(table[:, place]).all():
-                unit = "rad" if part in ("position", "reference") else ""
-                columns.append(column(f"{topic}/{part}", name, table[:, place], unit=unit))
-    before = float(np.median(received - time_s))
-    yield Stream(topic, time_s, tuple(columns), by_receipt, None, remarks, before)
-
-
-def _state_parts(messages: list[Any]) -> dict[str, list[Any]]:
-    return {part: [getattr(one, part) for one in messages] for part in ("position", "velocity", "effort")}
-
-
-def _controller_parts(messages: list[Any]) -> dict[str, list[Any]]:
-    """Return goal and measurement of a controller; ROS 2 has renamed them (control_msgs 4)."""
-
-    def first(message: Any, *names: str) -> Any:
-        point = next((getattr(message, name) for name in names if hasattr(message, name)), None)
-        return getattr(point, "positions", ())
-
-    return {
-        "position": [first(one, "feedback", "actual") for one in messages],
-        "reference": [first(one, "reference", "desired") for one in messages],
-    }
-
-
-def _names(message: Any) -> list[str]:
-    """Return the joints of a message; controllers call them otherwise than joint states do."""
-    return list(message.name if hasattr(message, "name") else message.joint_names)
-
-
-def _ordered(names: tuple[str, ...], message: Any, values: Any) -> list[float]:
-    """Return the values in the order of the first message's names: publishers may change it."""
-    own = _names(message)
-    if len(values) != len(own):
-        return [float("nan")] * len(names)
-    by_name = dict(zip(own, values, strict=True))
-    return [float(by_name.get(name, float("nan"))) for name in names]
-
-
-def _stamps(topic: str, received: Any, messages: list[Any], zero: int) -> tuple[Any, bool, tuple[str, ...]]:
-    headers: list[Any] = [one.header.stamp for one in messages if hasattr(one, "header")]
-    if len(headers) < len(messages) or all(one.sec == 0 and one.nanosec == 0 for one in headers):
-        return received, True, ()
-    stamps = np.array([(one.sec * 10**9 + one.nanosec - zero) * 1e-9 for one in headers])
-    apart = float(np.median(received - stamps))
-    if abs(apart) <= _OTHER_CLOCK_S:
-        return stamps, False, ()
-    told = f"{topic}: its stamps are of a clock {apart:+.3f} s from the recorder's, and were shifted by that"
-    return stamps + apart, False, (told,)
-
-
-def _points(topic: str, received: Any, messages: list[Any]) -> tuple[Any, list[Column]]:
-    """Return the goals of trajectories over time: each runs from its receipt until the next one comes."""
-    names = tuple(messages[0].joint_names)
-    rows: list[tuple[float, list[float]]] = []
-    for number, message in enumerate(messages):
-        end = received[number + 1] if number + 1 < len(messages) else np.inf
+    names = tuple(message.name if hasattr(message, "name") else message.joint_names)
+    frame = str(message.header.frame_id)
+    if not names:
+        return
+    if kind in _TRAJECTORIES:
         for point in message.points:
             after = point.time_from_start
-            stamp = float(received[number]) + after.sec + 1e-9 * after.nanosec
-            if stamp < end:
-                rows.append((stamp, _ordered(names, message, point.positions)))
-    table = np.array([row for _, row in rows]).reshape(-1, len(names))
-    columns = [
-        column(f"{topic}/command", name, table[:, place], unit="rad") for place, name in enumerate(names)
-    ]
-    return np.array([stamp for stamp, _ in rows]), columns
+            yield names, frame, received_s, after.sec + 1e-9 * after.nanosec, {"command": point.positions}
+        return
+    stamp = message.header.stamp
+    stamped_s = (
+        (stamp.sec * 10**9 + stamp.nanosec - zero) * 1e-9 if stamp.sec or stamp.nanosec else float("nan")
+    )
+    if kind in _STATES:
+        parts = {"position": message.position, "velocity": message.velocity, "effort": message.effort}
+    else:  # control_msgs 4 has renamed them
+        parts = {
+            "position": _point(message, "feedback", "actual"), "reference": _point(message, "reference", "desired"),
+        }  # fmt: skip
+    yield names, frame, stamped_s, 0.0, parts
+
+
+def _point(message: Any, *names: str) -> Any:
+    point = next((getattr(message, name) for name in names if hasattr(message, name)), None)
+    return getattr(point, "positions", ())
+
+
+def _streams(topic: str, kind: str, writers: Sequence[_Writer], empty: int) -> Iterator[Stream]:
+    """Yield a stream for all writers that name a joint together, in the order of receipt."""
+    groups = _groups(writers)
+    said = []
+    if empty:
+        said.append(Statement(f"{topic}: {empty} message{'s' * (empty != 1)} without a joint or value"))
+    joints = {name for writer in writers for name in writer.names}
+    partial = [writer for writer in writers if set(writer.names) != joints]
+    if partial and kind not in _ARRAYS:
+        most = max(writers, key=lambda writer: len(writer.order))
+        said.append(
+            Statement(
+                f"{topic}: its messages name {len({frozenset(one.names) for one in writers})} different sets of "
+                f"joints, {len(joints)} together ({', '.join(sorted(joints)[:8])}); most often "
+                f"{', '.join(most.names[:8])}"
+            )
+        )
+    for place, group in enumerate(groups):
+        stream = _joined(topic, kind, group)
+        yield Stream(
+            stream.name, stream.time_s, stream.columns, stream.received, None, () if place else tuple(said),
+            stream.receipt_s, stream.publisher,
+        )  # fmt: skip
+
+
+def _groups(writers: Sequence[_Writer]) -> list[list[_Writer]]:
+    groups: list[tuple[set[str], list[_Writer]]] = []
+    for writer in writers:
+        names, members = set(writer.names), [writer]
+        apart = []
+        for other, theirs in groups:
+            if other & names:
+                names |= other
+                members = [*theirs, *members]
+            else:
+                apart.append((other, theirs))
+        groups = [*apart, (names, members)]
+    return [members for _, members in groups]
+
+
+def _joined(topic: str, kind: str, writers: Sequence[_Writer]) -> Stream:
+    order = np.concatenate([np.asarray(writer.order) for writer in writers])
+    rows = np.argsort(order, kind="stable")
+    receipt_s = np.concatenate([np.asarray(writer.received_s) for writer in writers])[rows]
+    stamped_s = np.concatenate([np.asarray(writer.stamped_s) for writer in writers])[rows]
+    publisher = np.concatenate([np.full(len(one.order), place) for place, one in enumerate(writers)])[rows]
+    names = list(dict.fromkeys(name for writer in writers for name in writer.names))
+    columns: list[Column] = []
+    for part in dict.fromkeys(part for writer in writers for part in writer.parts):
+        table = np.full((len(rows), len(names)), np.nan)
+        first = 0
+        for writer in writers:
+            count = len(writer.order)
+            values = np.asarray(writer.parts.get(part, array("d"))).reshape(-1, len(writer.names))
+            if len(values) == count:
+                table[first : first + count, [names.index(name) for name in writer.names]] = values
+            first += count
+        table = table[rows]
+        if kind in _ARRAYS:
+            columns += vector(topic, table)
+            continue
+        for place, name in enumerate(names):
+            if not np.isnan(table[:, place]).all():
+                columns.append(column(f"{topic}/{part}", name, table[:, place], unit=_PARTS[part]))
+    if kind in _TRAJECTORIES:
+        begun = np.unique(stamped_s)
+        next_s = np.append(begun, np.inf)[np.searchsorted(begun, stamped_s, side="right")]
+        kept = receipt_s < next_s  # a trajectory runs from its receipt until the next one comes
+        return Stream(topic, receipt_s, tuple(columns), received=True).at(kept)
+    stamped = np.isfinite(stamped_s)
+    has_stamps = bool(stamped.all())
+    return Stream(
+        topic, stamped_s if has_stamps else receipt_s, tuple(columns), not has_stamps, None, (), receipt_s,
+        publisher if len(writers) > 1 and kind not in _ARRAYS else None,
+    )  # fmt: skip

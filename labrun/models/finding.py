@@ -6,8 +6,8 @@ from labrun import registry
 from labrun.toml import nearest
 
 GROUP = "labrun.models"
-SUFFIXES = (".xml", ".mjcf", ".urdf")
-"""Files that are read as a robot."""
+SUFFIXES = (".xml", ".mjcf", ".urdf", ".xacro")
+"""Files that are read as a robot; xacro is named as such and refused."""
 
 
 def shipped_models() -> dict[str, Path]:

@@ -41,16 +41,16 @@ def is_name(text: str) -> bool:
 def _usable(name: str) -> str:
     if not is_name(name):
         raise ValueError(
-            f"a name that equations can use, not {name!r}: letters, digits and _, and no Python keyword"
+            f"equations cannot use the name {name!r}: expected letters, digits and _, and no Python keyword"
         )
     if name in RESERVED:
-        raise ValueError(f"another name: {name!r} already means something in equations")
+        raise ValueError(f"{name!r} already means something in equations; choose another name")
     return name
 
 
 def _each_once(names: tuple[str, ...]) -> tuple[str, ...]:
     if len(set(names)) < len(names):
-        raise ValueError(f"every name once: one stands twice in {list(names)}")
+        raise ValueError(f"a name occurs twice in {list(names)}")
     return names
 
 
@@ -59,7 +59,7 @@ def listed(value: Any) -> Any:
     if isinstance(value, list) and all(isinstance(one, str) for one in value):
         return {name: {} for name in _each_once(tuple(value))}
     if not isinstance(value, dict):
-        raise ValueError('a list of names ["torque"], or a table of each')
+        raise ValueError('expected a list of names, ["torque"], or a table for each')
     return value
 
 
@@ -156,7 +156,7 @@ class MujocoOutput(Table):
 class SiteTable(Table):
     """A joint or a body, or the base, the tip or a link of a robot."""
 
-    kind: Literal["joint", "body", "base", "tip", "link"]
+    kind: Literal["joint", "body", "base", "tip", "link", "controller"]
     coordinate: Equation
     rate: Equation
     load: Equation = Expression.of(0.0)

@@ -16,6 +16,8 @@ class Change(ChannelObjective):
     Discarded cycles count here: what a swimmer does not cover while it gets going is part of how far it comes.
     """
 
+    offset_free: ClassVar[bool] = True
+
     def __call__(self, signals: TrialSignals) -> float:
         """Return the change, in the unit of `unit`."""
         ends = _at(signals, self.channel, (signals.start_s, signals.end_s))
@@ -36,6 +38,7 @@ class RateOfChange(ChannelObjective):
     """
 
     Settings: ClassVar[type[ChannelSettings]] = RateOfChangeSettings
+    offset_free: ClassVar[bool] = True
     _settings: RateOfChangeSettings
 
     def unit(self, channel_unit: str) -> str:

@@ -87,7 +87,9 @@ class ReducedChannel(ChannelObjective):
 
 
 def per_metre(unit: str) -> str:
-    """Return a unit divided by metres: "N" for "N m"."""
+    """Return a unit divided by metres: "N" for "N m"; an unknown unit, "", stays unknown."""
+    if not unit:
+        return ""
     return unit.removesuffix(" m") if unit.endswith(" m") else f"{unit}/m"
 
 
@@ -233,6 +235,8 @@ class Amplitude(ReducedChannel):
     frequencies do not enlarge as they do the range.
     """
 
+    offset_free: ClassVar[bool] = True
+
     def __call__(self, signals: TrialSignals) -> float:
         """Return the amplitude, in the unit of `unit`."""
         if signals.period_s is None:
@@ -275,6 +279,7 @@ class LoopArea(ChannelObjective):
 
     Settings: ClassVar[type[ChannelSettings]] = LoopAreaSettings
     channel_settings: ClassVar[tuple[str, ...]] = ("over",)
+    offset_free: ClassVar[bool] = True
     _settings: LoopAreaSettings
 
     def unit(self, channel_unit: str) -> str:  # noqa: ARG002

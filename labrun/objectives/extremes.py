@@ -42,6 +42,11 @@ class Extremes(ChannelObjective):
     Settings: ClassVar[type[ChannelSettings]] = ExtremesSettings
     _settings: ExtremesSettings
 
+    @property
+    def offset_free(self) -> bool:
+        """Tell whether a constant offset of the channel does not change the number."""
+        return self._settings.which == "range" or self._settings.give == "ci95"
+
     def __call__(self, signals: TrialSignals) -> float:
         """Return the number.
 

@@ -252,7 +252,7 @@ class ObjectivePlugin(Protocol):
 
     It may also have `Settings` (a pydantic model of its own keys; the loader then reports errors in them with line and
     column), `needs_channel`, and `channel_settings` (its own keys that name channels). What it makes may be
-    `Truncated`, and `Remarking`.
+    `Truncated`, and `Remarking`; and ``offset_free = True`` if a constant offset of its channel does not change it.
     """
 
     def __call__(self, channel: str | None, settings: Mapping[str, Any]) -> Objective:

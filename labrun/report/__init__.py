@@ -8,10 +8,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from labrun import UseCasePackage
+from labrun.report.conditions import candidate_points
 from labrun.report.data import RunView, experiment_of
 from labrun.report.findings import Findings, StoredFit, StoredGap
 from labrun.report.live import LiveProgress, PlainProgress, Snapshot, State, event_text, render, watch
-from labrun.report.statistics import Drift, drift_of, without_drift
+from labrun.report.statistics import DRIFT_SUFFIX, Drift, drift_of, without_drift
 from labrun.report.terminal import keys_text, plan_text, print_findings, remark_text
 from labrun.report.text import aligned, counted, duration_text, interval_text, short_time_text
 
@@ -49,13 +50,14 @@ _LATER = {
 """Modules that are loaded when one of their names is asked for."""
 
 __all__ = [
+    "DRIFT_SUFFIX",
     "Drift", "Findings", "LiveProgress", "PlainProgress", "RunView", "Snapshot", "State", "StoredFit", "StoredGap",
-    "aligned", "as_svg", "check_text", "compared_text", "comparison_figure", "comparison_json", "comparison_text",
-    "counted", "diagnosis_figure", "diagnosis_page", "draw_design", "draw_figure", "drift_of", "duration_text",
-    "event_text", "experiment_of", "fit_figure", "fresh_text", "gap_lines", "interval_text", "keys_text", "plan_text",
-    "print_findings", "ranking_text", "remark_text", "render", "report_page", "robot_figure", "robot_lines",
-    "robot_page", "run_figure", "save_figure", "short_time_text", "trial_plan_text", "units_text", "watch",
-    "without_drift", "write_check_page",
+    "aligned", "as_svg", "candidate_points", "check_text", "compared_text", "comparison_figure", "comparison_json",
+    "comparison_text", "counted", "diagnosis_figure", "diagnosis_page", "draw_design", "draw_figure", "drift_of",
+    "duration_text", "event_text", "experiment_of", "fit_figure", "fresh_text", "gap_lines", "interval_text",
+    "keys_text", "plan_text", "print_findings", "ranking_text", "remark_text", "render", "report_page",
+    "robot_figure", "robot_lines", "robot_page", "run_figure", "save_figure", "short_time_text", "trial_plan_text",
+    "units_text", "watch", "without_drift", "write_check_page",
 ]  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from labrun.fit import ComparedPoint, Comparison, Curve, FigureData, Pair, Panel, Stack
+from labrun.fit import LEAST_SIZE, ComparedPoint, Comparison, Curve, FigureData, Pair, Panel, Stack
 from labrun.report.text import (
     aligned,
     condition_text,
@@ -50,6 +50,7 @@ def comparison_text(comparison: Comparison, width: int) -> str:
     lines += [f"  {line}" for line in aligned(rows, words=2 if several else 1)]
     if len(comparison.points) > len(shown):
         lines.append(f"  and {len(comparison.points) - len(shown)} more")
+    lines += [f"  {line}" for line in _denominators(comparison, shown)]
     units, errors = comparison.units(), comparison.rmse()
     # else they stand above already
     if len(comparison.points) > len(errors) or len(comparison.points) > len(shown):
@@ -116,7 +117,24 @@ def _numbers(point: ComparedPoint) -> tuple[str, ...]:
 
 
 def _relative(point: ComparedPoint) -> str:
-    return percent(point.relative) if math.isfinite(point.relative) else "nothing but 0 measured"
+    if not math.isfinite(point.relative):
+        return "nothing but 0 measured"
+    return percent(point.relative) + ("*" if point.floored else "")
+
+
+def _denominators(comparison: Comparison, shown: Sequence[ComparedPoint]) -> list[str]:
+    """Say what errors are relative to: of small values not to these themselves."""
+    lines = ["relative: RMSE over the root mean square of what was measured"]
+    units = comparison.units()
+    least = {point.channel: point.size for point in shown if point.floored}
+    if least:
+        sizes = ", ".join(
+            f"{quantity_text(size, units[channel])} of {channel}" for channel, size in least.items()
+        )
+        lines.append(
+            f"* less than {percent(LEAST_SIZE)} of the channel's greatest value was measured: over that, {sizes}"
+        )
+    return lines
 
 
 def _at_worst(comparison: Comparison, channel: str) -> str:
@@ -271,7 +289,11 @@ def ranking_text(ranking: Ranking) -> str:
     """Return the table of gaits by water, the agreements, and which gait to take, and why."""
     heads = [condition_text(column.setting) or ranking.objective for column in ranking.columns]
     labs = [Path(path).parent.name for path in ranking.laboratories]
-    rows = [["gait", *labs, *heads]]
+    measured_in = [
+        with_unit(lab, ranking.laboratory_units.get(path, ""))
+        for path, lab in zip(ranking.laboratories, labs, strict=True)
+    ]
+    rows = [["gait", *measured_in, *(with_unit(head, ranking.unit) for head in heads)]]
     for place, gait in enumerate(ranking.gaits):
         row = [f"{gait.get(NUMBER, place + 1):g}"]
         for path in ranking.laboratories:
@@ -284,7 +306,7 @@ def ranking_text(ranking: Ranking) -> str:
                 text += f" ({cell.ci95[0]:.4g} to {cell.ci95[1]:.4g})"
             row.append(text)
         rows.append(row)
-    lines = [f"{f'{ranking.objective} {ranking.unit}'.strip()}, mean with 95 % interval; laboratory: mean"]
+    lines = [f"{ranking.objective}, mean with 95 % interval; laboratory: mean"]
     lines += [*aligned(rows), ""]
     for path, lab in zip(ranking.laboratories, labs, strict=True):
         for column, head in zip(ranking.columns, heads, strict=True):
@@ -322,4 +344,7 @@ def _winner_lines(ranking: Ranking, heads: Sequence[str]) -> list[str]:
     bound, head = min(((b, h) for b, h in bounds if b is not None), key=lambda item: sign * item[0])
     end, beyond = ("from", "greatest") if ranking.maximise else ("up to", "least")
     why = f"in its worst water ({head}) its interval goes {end} {bound:.4g} {ranking.unit}, the {beyond} of all gaits"
-    return [f"take {ranking.name(place)}: {why}", f"          {condition_text(ranking.gaits[place])}"]
+    return [
+        f"take {ranking.name(place)}: {why}",
+        f"          {condition_text(ranking.gaits[place], ranking.gait_units)}",
+    ]

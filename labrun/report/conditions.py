@@ -1,7 +1,8 @@
 """What each condition of a run gave: its trials, and the mean of every objective with its error."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from labrun.report.data import Point, RunView, by_condition
@@ -16,10 +17,11 @@ from labrun.report.text import (
     value_text,
     with_unit,
 )
-from labrun.search import leading_conditions, mean_error
+from labrun.search import combined_text, combined_values, leading_conditions, mean_error
 from labrun.spec import Condition, Experiment, Value, condition_key, varying
 from labrun.store import TrialOutcome
 
+_Key = tuple[tuple[str, Value], ...]
 _LEADERS_SHOWN = 12
 _CONDITIONS_SHOWN = 60
 
@@ -38,12 +40,15 @@ class ConditionResult:
         By objective, the accepted values; objectives without one are left out.
     best
         Whether this is the honest best.
+    combined
+        Of an experiment over several settings: the goal's objective over all settings of this candidate.
     """
 
     condition: Mapping[str, Value]
     trials: tuple[TrialOutcome, ...]
     points: Mapping[str, Point]
     best: bool = False
+    combined: Point | None = None
 
     @property
     def accepted(self) -> int:
@@ -74,6 +79,11 @@ class ConditionResult:
             "rejected_or_failed": len(self.trials) - self.accepted,
             "best": self.best,
             "objectives": objectives,
+            **(
+                {}
+                if self.combined is None
+                else {"combined": {"mean": self.combined.mean, "ci95": self.combined.ci95}}
+            ),
         }
 
 
@@ -108,11 +118,61 @@ def most_promising(view: RunView, results: Sequence[ConditionResult]) -> list[Co
     if goal is None:
         return list(results)
     name, direction = goal
+    if view.experiment.over:
+        return _by_candidate(view, results)
     found = {condition_key(r.condition): r for r in results if name in r.points}
     points = (result.points[name] for result in found.values())
     order = leading_conditions(((one.condition, one.values, one.truncation) for one in points), direction)
     ranked = [found[condition_key(condition)] for condition in order]
     return ranked + [result for result in results if name not in result.points]
+
+
+def candidate_points(view: RunView, *, roles: Sequence[str] = ("measure", "fresh", "confirm")) -> list[Point]:
+    """Return the goal's objective of every candidate over all settings, as `labrun.search.Combined` makes it.
+
+    The condition of a point is the candidate's, without the settings. Candidates without an accepted trial at every
+    setting are left out.
+    """
+    experiment = view.experiment
+    if experiment.goal is None:
+        return []
+    name, direction = experiment.goal
+    settings = math.prod(len(values) for values in experiment.over.values())
+    groups: dict[_Key, list[Point]] = {}
+    for point in view.points(name, roles=roles):
+        groups.setdefault(condition_key(_own(experiment, point.condition)), []).append(point)
+    found = []
+    for parts in groups.values():
+        if len(parts) < settings:
+            continue
+        values = combined_values(
+            [part.values for part in parts], experiment.combine, worst_is_least=direction == "maximise"
+        )
+        cut = [part.truncation for part in parts]
+        truncation = {"worst": max(cut), "sum": sum(cut), "mean": sum(cut) / len(cut)}[experiment.combine]
+        own = _own(experiment, parts[0].condition)
+        found.append(Point(own, values, parts[0].trials[: len(values)], truncation=truncation))
+    return found
+
+
+def _by_candidate(view: RunView, results: Sequence[ConditionResult]) -> list[ConditionResult]:
+    """Return all settings of the most promising candidate, then those of the next; each with its combined value."""
+    points = {condition_key(point.condition): point for point in candidate_points(view)}
+    measured = ((point.condition, point.values, point.truncation) for point in points.values())
+    direction = "minimise" if view.experiment.goal is None else view.experiment.goal[1]
+    groups: dict[_Key, list[ConditionResult]] = {}
+    for result in results:
+        groups.setdefault(condition_key(_own(view.experiment, result.condition)), []).append(result)
+    leading = [condition_key(condition) for condition in leading_conditions(measured, direction)]
+    others = [key for key in groups if key not in points]
+    return [
+        replace(member, combined=points.get(key)) for key in (*leading, *others) for member in groups[key]
+    ]
+
+
+def _own(experiment: Experiment, condition: Mapping[str, Value]) -> dict[str, Value]:
+    """Return a condition without the settings that all candidates share."""
+    return {name: value for name, value in condition.items() if name not in experiment.over}
 
 
 def standard_error(point: Point) -> float | None:
@@ -151,6 +211,10 @@ def _leaders(view: RunView, name: str) -> Mapping[str, Any]:
     others = [other for other in view.experiment.objectives if other != name]
     keys = _names(result.condition for result in leading)
     decimals = {each: _decimals(leading, each) for each in (name, *others)}
+    over = combined_text(view.experiment)
+    together = decimals_for(
+        standard_error(result.combined) for result in leading if result.combined is not None
+    )
     rows = [
         [
             str(rank),
@@ -160,12 +224,14 @@ def _leaders(view: RunView, name: str) -> Mapping[str, Any]:
                 _mean(result.points[other], decimals[other])[0] if other in result.points else ""
                 for other in others
             ),
+            *([] if not over else _mean(result.combined, together)[:1] if result.combined else [""]),
         ]
         for rank, result in enumerate(leading, start=1)
     ]
     marked = [place for place, result in enumerate(leading) if result.best]
     columns = ["", *_labels(keys, view), _quantity(name, view.unit), "standard error", "n"]
     columns += [_quantity(other, view.unit_of(other)) for other in others]
+    columns += [with_unit(over, view.unit)] if over else []
     return {
         "table": PageTable(columns, rows, words=(), marked=marked),
         "shown": f"The {len(leading)} most promising of {counted(len(results), 'condition')}",

@@ -20,7 +20,7 @@ from labrun.report.timing import BenchTime, LoopHealth, StreamHealth, bench_time
 from labrun.runner import unsettled
 from labrun.search import RunResult
 from labrun.spec import PAST, condition_text
-from labrun.store import TrialOutcome, imported_channels, imported_source, remarks_of
+from labrun.store import Run, TrialOutcome, imported_channels, imported_source, remarks_of
 
 _STREAMS_LOOKED_AT = 40
 _MOST_CONDITIONS = 100
@@ -355,9 +355,22 @@ class Findings(RunView):
                     "done": sum(trial.status == "done" for trial in trials),
                     "shortest_s": min(trial.duration_s for trial in trials),
                     "longest_s": max(trial.duration_s for trial in trials),
+                    **_numbers_of_a_table(run, trials),
                 }
                 for trials in by_condition(run.outcomes).values()
             ],
             "faults": run.faults,
             "source": imported_source(run.experiment_toml),
         }
+
+
+def _numbers_of_a_table(run: Run, trials: Sequence[TrialOutcome]) -> dict[str, dict[str, float]]:
+    """Return the mean of every channel over trials that are single numbers; nothing for signals."""
+    if any(trial.duration_s > 0.0 for trial in trials):
+        return {}
+    values: dict[str, list[float]] = {}
+    for trial in trials:
+        for stream in run.signals(trial.index).values():
+            for name in stream.columns:
+                values.setdefault(name, []).extend(stream.column(name))
+    return {"means": {name: float(np.mean(column)) for name, column in values.items()}}

@@ -201,7 +201,7 @@ def grows_with_size(means: FloatArray, sds: FloatArray) -> float | None:
     return float(found.statistic) if float(found.pvalue) < 0.01 else None
 
 
-SUFFIX = "_drift_corrected"
+DRIFT_SUFFIX = "_drift_corrected"
 
 
 def drift_of(run: Run) -> list[Drift]:
@@ -249,7 +249,7 @@ def without_drift(outcomes: Sequence[TrialOutcome], found: Sequence[Drift]) -> l
             outcome,
             objectives=outcome.objectives
             | {
-                f"{item.objective}{SUFFIX}": outcome.objectives[item.objective]
+                f"{item.objective}{DRIFT_SUFFIX}": outcome.objectives[item.objective]
                 - item.slope_per_h * (outcome.started_s - start_s) / 3600
                 for item in found
                 if item.objective in outcome.objectives

@@ -16,6 +16,7 @@ from rich.text import Text
 from labrun.devices import Remark
 from labrun.estimate import rounded
 from labrun.report.conditions import ConditionResult, standard_error
+from labrun.report.data import Point
 from labrun.report.findings import Findings, StoredFit
 from labrun.report.statistics import Drift, Repeatability, repeatability_columns, standard_deviations
 from labrun.report.text import (
@@ -34,7 +35,7 @@ from labrun.report.text import (
 )
 from labrun.report.timing import LEAST_JITTER_S, clock_text, loop_words
 from labrun.runner import JointPeak, Plan, percent
-from labrun.search import Best, unsettled_text
+from labrun.search import Best, combined_text, unsettled_text
 from labrun.spec import Key, varying
 
 _MOST_REASONS = 6
@@ -122,19 +123,16 @@ def _print_recording(found: Mapping[str, Any], console: Console) -> None:
         console.print(Text(f"damaged: {fault}", style="yellow"))
     source = found["source"]
     if source:
-        told = ", ".join(f"{key} {value}" for key, value in source.items() if key != "kind")
-        console.print(Text(f"source: {source.get('kind', '')}, {told}"))
+        told = [f"{key} {value}" for key, value in source.items() if key != "kind"]
+        console.print(Text(f"source: {', '.join([source.get('kind', ''), *told])}"))
     channels = _table("channels", "channel", "kind", "unit", "rate")
     for channel in found["channels"]:
         channels.add_row(channel["name"], channel["kind"], channel["unit"], f"{channel['rate_hz']:.4g} Hz")
     console.print(channels)
-    conditions = _table("trials by condition", "condition", "trials", "done", "duration")
-    for item in found["conditions"]:
-        shortest, longest = f"{item['shortest_s']:.4g}", f"{item['longest_s']:.4g}"
-        lasted = f"{longest} s" if shortest == longest else f"{shortest} to {longest} s"
-        name = condition_text(item["condition"]) or "(none given)"
-        conditions.add_row(name, str(item["trials"]), str(item["done"]), lasted)
-    console.print(conditions)
+    if all("means" in item for item in found["conditions"]):
+        console.print(_table_of_numbers(found))
+    else:
+        console.print(_trials_by_condition(found))
     paths = {"run": found["run"], "imported from": found["imported_from"]}
     if found["run"] == found["imported_from"]:
         paths = {"recording": found["run"]}
@@ -142,13 +140,35 @@ def _print_recording(found: Mapping[str, Any], console: Console) -> None:
         console.print(Text(f"{name:<13} {path}"), soft_wrap=True)
 
 
+def _table_of_numbers(found: Mapping[str, Any]) -> Table:
+    """Return a recording without a course in time as the table that it is."""
+    columns = [with_unit(channel["name"], channel["unit"]) for channel in found["channels"]]
+    table = _table("means by condition", "condition", "trials", *columns)
+    for item in found["conditions"]:
+        numbers = [f"{item['means'][channel['name']]:.4g}" for channel in found["channels"]]
+        table.add_row(condition_text(item["condition"]) or "(none given)", str(item["trials"]), *numbers)
+    return table
+
+
+def _trials_by_condition(found: Mapping[str, Any]) -> Table:
+    conditions = _table("trials by condition", "condition", "trials", "done", "duration")
+    for item in found["conditions"]:
+        shortest, longest = f"{item['shortest_s']:.4g}", f"{item['longest_s']:.4g}"
+        lasted = f"{longest} s" if shortest == longest else f"{shortest} to {longest} s"
+        name = condition_text(item["condition"]) or "(none given)"
+        conditions.add_row(name, str(item["trials"]), str(item["done"]), lasted)
+    return conditions
+
+
 def _best(best: Best) -> Text:
     return Text.assemble(
         ("best ", "bold"),
         f"{best.objective_name} = ",
         (interval_text(best.value, best.ci95, best.unit), "bold green"),
+        f", {best.combined}" if best.combined else "",
         f" (95 % interval, {best.trials} confirming trials)\n",
         f"  at {condition_text(best.parameters)}\n",
+        *(f"  {note}\n" for note in best.range_ends),
         (f"  luckiest single trial {quantity_text(best.luckiest, best.unit)}", "dim"),
     )
 
@@ -198,7 +218,9 @@ def _drift(found: Sequence[Drift]) -> Table:
 
 def _streams(findings: Findings) -> Table:
     title = f"streams, from {len(findings.streams_looked_at)} trials"
-    columns = ("device", "rate, nominal (Hz)", "jitter", "offset", "drift", "samples", "lost", "saturated")
+    # The clocks of simulated devices are made up: how far they are from the run's says nothing of a bench.
+    clock = () if findings.dry_run else ("offset", "drift")
+    columns = ("device", "rate, nominal (Hz)", "jitter", *clock, "samples", "lost", "saturated")
     table = _table(title, *columns)
     table.collapse_padding = True  # with short words, all of it fits a terminal of 80 columns
     for item in findings.streams:
@@ -207,7 +229,7 @@ def _streams(findings: Findings) -> Table:
             item.device,
             f"{item.actual_hz:.4g}, {item.nominal_hz:.4g}",
             f"{1000 * item.jitter_s:.2g} ms" if item.jitter_s > LEAST_JITTER_S else "0 ms",
-            *clock_text(item),
+            *(() if findings.dry_run else clock_text(item)),
             str(item.samples),
             f"{item.lost} ({share_text(item.lost_share)})",
             str(item.saturated),
@@ -252,6 +274,8 @@ def _condition_table(
         if findings.experiment.goal is not None
         else "conditions"
     )
+    over = combined_text(findings.experiment)
+    headed += f", {over}" if over else ""
     title = f"{headed}: means{' (a wider terminal shows intervals)' if means_only else ' ± half their 95 % intervals'}"
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for name in names:
@@ -269,6 +293,13 @@ def _condition_table(
         if means_only:
             largest = max((abs(point.mean) for point in points), default=0.0)
             decimals[name] = min(max(0, 2 - math.floor(math.log10(largest))), 4) if largest > 0 else 0
+    together = decimals_for(
+        standard_error(result.combined) for result in shown if result.combined is not None
+    )
+    if over:
+        table.add_column(
+            f"{findings.experiment.combine} over\n{', '.join(findings.experiment.over)}", justify="right"
+        )
     marked = any(result.best for result in shown)
     if marked:
         table.add_column("")
@@ -276,6 +307,10 @@ def _condition_table(
         cells = [value_text(result.condition[name]) if name in result.condition else "" for name in names]
         cells.append(str(result.accepted))
         cells += [_mean(result, name, decimals[name], alone=means_only) for name in findings.objective_units]
+        if over:
+            cells.append(
+                "" if result.combined is None else _of_point(result.combined, together, alone=means_only)
+            )
         if marked:
             cells.append("best" if result.best else "")
         table.add_row(*cells, style="green" if result.best else "")
@@ -294,8 +329,10 @@ def _shown(findings: Findings) -> list[ConditionResult]:
 
 def _mean(result: ConditionResult, objective: str, decimals: int | None, *, alone: bool = False) -> str:
     point = result.points.get(objective)
-    if point is None:
-        return ""
+    return "" if point is None else _of_point(point, decimals, alone=alone)
+
+
+def _of_point(point: Point, decimals: int | None, *, alone: bool) -> str:
     if point.at_least:
         return f"> {decimal_text(point.mean, decimals)}"
     if alone:
@@ -330,7 +367,8 @@ def plan_text(plan: Plan, results: Path) -> str:
         lines += [
             f"time        {_between(duration_text(plan.time_s), duration_text(plan.time_at_most_s))} on the bench, "
             f"{_settling(plan)}",
-            f"disk        {bytes_text(plan.disk_bytes)} of {bytes_text(free)} free",
+            f"disk        {bytes_text(plan.disk_bytes)} of {bytes_text(free)} free, "
+            f"{bytes_text(plan.disk_kept_bytes)} once it is packed",
             f"sensors     {rates or 'none'}",
         ]
     lines += [f"joint       {_joint(peak)}" for peak in plan.peaks]

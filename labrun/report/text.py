@@ -131,12 +131,13 @@ def interval_words(value: float, ci95: tuple[float, float] | None, unit: str) ->
     if ci95 is None:
         return quantity_text(value, unit), ""
     middle, low, high = rounded(Estimate(value, ci95, unit))
-    return f"{middle} {unit}".rstrip(), f"{low} to {high} {unit}".rstrip()
+    return f"{middle} {unit_text(unit)}".rstrip(), f"{low} to {high} {unit_text(unit)}".rstrip()
 
 
 def slope_words(value: float, ci95: tuple[float, float], unit: str) -> str:
     """Return ``-0.012 N/h (95 % interval -0.106 to 0.083)``."""
     middle, low, high = rounded(Estimate(value, ci95, unit))
+    unit = unit_text(unit)
     return (
         f"{middle} {unit}/h (95 % interval {low} to {high})"
         if unit

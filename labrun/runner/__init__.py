@@ -1,6 +1,7 @@
 """From a plan to trials: devices and clock, settle, tare, record, repeat; and everything that stops what moves."""
 
 from labrun.devices.clock import RealClock, SimulatedClock
+from labrun.interrupts import Interrupted
 from labrun.runner.asking import Person, Scripted, Willing
 from labrun.runner.bench import Bench, Handle
 from labrun.runner.damage import worn_before, worn_specimens
@@ -19,9 +20,10 @@ from labrun.runner.recording import (
 )
 from labrun.runner.resolve import EmulatedBench, has_emulator, ports_of, resolve_device
 from labrun.runner.rig import Rig
-from labrun.runner.safety import Interrupted, LimitReached
+from labrun.runner.safety import LimitReached
 from labrun.runner.session import Progress, Session, SilentProgress
 from labrun.runner.settle import unsettled
+from labrun.runner.tare import untared_objectives
 from labrun.runner.until import UntilRecorder
 
 __all__ = [
@@ -30,6 +32,6 @@ __all__ = [
     "Planner", "Progress", "RealClock", "Recorder", "Rig", "Scripted", "SearchSpace", "Session", "SilentProgress",
     "SimulatedClock", "SpaceBreak", "TrialMotion", "TrialRecording", "UntilRecorder", "Willing",
     "examine_machine", "examine_rig", "find_devices", "guard_excesses", "has_emulator", "percent", "ports_of",
-    "record_planned", "resolve_device", "smooth_move", "unsettled", "within_bounds", "worn_before",
-    "worn_specimens",
+    "record_planned", "resolve_device", "smooth_move", "unsettled", "untared_objectives", "within_bounds",
+    "worn_before", "worn_specimens",
 ]  # fmt: skip

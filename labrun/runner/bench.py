@@ -6,14 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from labrun.devices import Clock, Excess, Limits, Samples, Sensor, Trajectory
+from labrun.devices import Clock, Excess, Health, Limits, Samples, Sensor, Trajectory
 from labrun.errors import DeviceError, LimitExceededError
 from labrun.runner.motion import smooth_move
 from labrun.runner.rig import Rig
-from labrun.runner.safety import NonsenseError, SilentDeviceError, blaming
+from labrun.runner.safety import DeviceCalls, NonsenseError, SilentDeviceError, wrong_answer
 
 _SILENT_PERIODS = 5.0
 _SILENT_S = 0.5
+_LEAST_DOUBLED = 4
+"""Two equal samples may be a still bench; two pairs of them in a row of two are not."""
 _PLAUSIBLE = {
     "N": 1e6,
     "N m": 1e6,
@@ -36,15 +38,19 @@ class SensorWatch:
     ----------
     limits
         Bounds on its samples by unit.
+    calls
+        Surrounds every call of the driver.
     """
 
-    def __init__(self, name: str, sensor: Sensor, limits: Limits, clock: Clock) -> None:
+    def __init__(self, name: str, sensor: Sensor, limits: Limits, clock: Clock, calls: DeviceCalls) -> None:
         self.name = name
+        self._calls = calls
         self.sensor = sensor
         self._limits = limits
         self._clock = clock
         self._silence_s = max(_SILENT_PERIODS / sensor.rate_hz, _SILENT_S)
         self._last_s = -math.inf
+        self._last_device_s = -math.inf
         bounds = {"N": limits.force_n, "N m": limits.torque_n_m, "degC": limits.temperature_c}
         ceiling = []
         for channel in sensor.channels:
@@ -57,16 +63,16 @@ class SensorWatch:
 
     def start(self) -> None:
         """Begin to stream."""
-        with blaming(self.name):
+        with self._calls(self.name, "start"):
             self.sensor.start()
-        self._last_s = self._clock.now()
+        self._last_s, self._last_device_s = self._clock.now(), -math.inf
         self.running = True
 
     def stop(self) -> None:
         """End the stream."""
         if self.running:
             self.running = False
-            with blaming(self.name):
+            with self._calls(self.name, "stop"):
                 self.sensor.stop()
 
     def read(self) -> Samples:
@@ -81,8 +87,10 @@ class SensorWatch:
         LimitExceededError
             A sample beyond the device's limits; names channel, value, bound and time.
         """
-        with blaming(self.name):
+        with self._calls(self.name, "read"):
             block = self.sensor.read()
+        if not isinstance(block, Samples):
+            raise wrong_answer(self.name, "read", block, "Samples")
         now_s = self._clock.now()
         if len(block) == 0:
             quiet_s = now_s - self._last_s
@@ -94,7 +102,8 @@ class SensorWatch:
                 )
             return block
         self._check_shape(block)
-        self._last_s = float(block.host_time_s[-1])
+        self._check_once(block)
+        self._last_s, self._last_device_s = float(block.host_time_s[-1]), float(block.device_time_s[-1])
         # One comparison covers NaN, infinity, plausibility and limits; what exactly is wrong is found only when it is.
         if not (np.abs(block.values).max(axis=0) <= self._ceiling).all():
             self._check_values(block)
@@ -115,6 +124,27 @@ class SensorWatch:
             or block.host_time_s[0] < self._last_s - self._silence_s
         ):
             raise NonsenseError(self.name, "its samples' receive times run backwards or are not finite")
+
+    def _check_once(self, block: Samples) -> None:
+        """Raise NonsenseError where samples stand twice in the block, or were in an earlier one."""
+        first_s, first_device_s = float(block.host_time_s[0]), float(block.device_time_s[0])
+        count = len(block)
+        again = first_s < self._last_s and first_device_s <= self._last_device_s
+        pairs = (
+            count >= _LEAST_DOUBLED
+            and count % 2 == 0
+            and np.array_equal(block.host_time_s[::2], block.host_time_s[1::2])
+            and np.array_equal(block.device_time_s[::2], block.device_time_s[1::2])
+            and np.array_equal(block.values[::2], block.values[1::2])
+            and bool((np.diff(block.host_time_s[::2]) > 0.0).all())
+        )
+        if again or pairs:
+            what = "samples that it had returned before" if again else "every sample twice"
+            raise NonsenseError(
+                self.name,
+                f"its read() returned {what}; expected the samples since the last call, each once",
+                hint="this is a fault of its driver",
+            )
 
     def _check_values(self, block: Samples) -> None:
         bad = ~(np.abs(block.values) <= self._plausible)
@@ -173,9 +203,11 @@ class Bench:
     ) -> None:
         self.rig = rig
         self.clock = clock
-        self._check_stop = check_stop
+        self.check_stop = check_stop
         self._beat = beat
-        self._watches = {n: SensorWatch(n, s, rig.limits[n], clock) for n, s in rig.sensors.items()}
+        self._watches = {
+            n: SensorWatch(n, s, rig.limits[n], clock, rig.calls) for n, s in rig.sensors.items()
+        }
         self._pose_due_s = -np.inf
         self._health_due_s = -np.inf
         self._poses: dict[str, tuple[float, Mapping[str, float]]] = {}
@@ -217,7 +249,7 @@ class Bench:
         DeviceError
             A device fell silent, answered nonsense, is not well, or left a limit.
         """
-        self._check_stop()
+        self.check_stop()
         self._beat()
         blocks = {name: watch.read() for name, watch in self._watches.items() if watch.running}
         now_s = self.clock.now()
@@ -259,7 +291,7 @@ class Bench:
                     continue
                 raise limit_error(name, excess, time_s=self.clock.now() + excess.time_s)
             start_s = self.clock.now()
-            with blaming(name):
+            with self.rig.calls(name, "follow"):
                 actuator.follow(_complete(move, actuator.joints, pose), start_s)
             until_s = max(until_s, start_s + move.duration_s)
             moved.append(name)
@@ -285,7 +317,7 @@ class Bench:
             still = self._pose(name) if joints != actuator.joints else {}
             parts.append((name, _complete(part, actuator.joints, still)))
         for name, part in parts:
-            with blaming(name):
+            with self.rig.calls(name, "follow"):
                 self.rig.actuators[name].follow(part, start_s)
 
     def travel(
@@ -294,7 +326,7 @@ class Bench:
         """Start a move of the carriage, after a last check against its limits; with its own acceleration if None."""
         for excess in self.rig.limits[device].travel_excess(to_m, speed_m_s):
             raise limit_error(device, excess, time_s=self.clock.now())
-        with blaming(device):
+        with self.rig.calls(device, "travel"):
             carriage = self.rig.carriages[device]
             if acceleration_m_s2 is None:
                 carriage.travel(to_m, speed_m_s)
@@ -324,8 +356,10 @@ class Bench:
         """Ask every device how it is; DeviceError if one is not well, LimitExceededError if one is too hot."""
         self._health_due_s = self.clock.now() + _HEALTH_EVERY_S
         for name, device in self.rig.devices.items():
-            with blaming(name):
+            with self.rig.calls(name, "health"):
                 health = device.health()
+            if not isinstance(health, Health):
+                raise wrong_answer(name, "health", health, "Health")
             bound = self.rig.limits[name].temperature_c
             if bound is not None and health.temperature_c is not None and not health.temperature_c <= bound:
                 raise limit_error(
@@ -342,13 +376,16 @@ class Bench:
         device = self.rig.arranging.get(name)
         if device is None:
             return True
-        with blaming(name):
+        with self.rig.calls(name, "arrived"):
             return device.arrived()
 
     def _pose(self, name: str) -> Mapping[str, float]:
         """Return where an actuator's joints are, rad; DeviceError if it cannot say."""
-        with blaming(name):
-            pose = self.rig.actuators[name].pose()
+        actuator = self.rig.actuators[name]
+        with self.rig.calls(name, "pose"):
+            pose = actuator.pose()
+        if not isinstance(pose, Mapping) or any(joint not in pose for joint in actuator.joints):
+            raise wrong_answer(name, "pose", pose, f"an angle for each of {', '.join(actuator.joints)}")
         for joint, angle in pose.items():
             if not math.isfinite(angle):
                 raise NonsenseError(
@@ -357,8 +394,10 @@ class Bench:
         return pose
 
     def _position_m(self, name: str) -> float:
-        with blaming(name):
+        with self.rig.calls(name, "position_m"):
             position = self.rig.carriages[name].position_m()
+        if not isinstance(position, int | float | np.floating):
+            raise wrong_answer(name, "position_m", position, "a number")
         if not math.isfinite(position):
             raise NonsenseError(name, f"says that it stands at {position} m", hint="check its controller")
         return position

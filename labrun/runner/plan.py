@@ -92,6 +92,8 @@ def _unknown(key: str, name: str, known: Iterable[str], kind: str) -> list[str]:
 _SHOWN = 5
 _TRIAL_BYTES = 40_000
 """What a trial's file takes beside its samples: groups, attributes, command, settle curve, checkpoint."""
+_PACKED_SHARE = 1.1
+"""What a trial takes in run.h5, as a share of its own file."""
 _SAMPLE_BYTES = 8
 _ADVICE = "narrow the axes, or add a where constraint that keeps these conditions out"
 _LOOP_ADVICE = "narrow the range of the loop, or give it a slower slew_per_s"
@@ -171,7 +173,9 @@ class Plan:
         The settle times that `time_s` and `time_at_most_s` count a trial with: the least that evidence takes, and the
         timeout.
     disk_bytes
-        Of `trials`, uncompressed.
+        Of `trials`, while they are packed: their files, and run.h5 beside them.
+    disk_kept_bytes
+        Of run.h5, all that is left afterwards.
     peaks
         Of each joint.
     rates_hz
@@ -194,6 +198,7 @@ class Plan:
     time_at_most_s: float
     settle_s: float
     disk_bytes: int
+    disk_kept_bytes: int
     peaks: tuple[JointPeak, ...]
     rates_hz: dict[str, float]
     excess: tuple[ConditionExcess, ...] = ()
@@ -231,6 +236,7 @@ class Plan:
             "settle_s_assumed": self.settle_s,
             "settle_s_at_most": self.settle_at_most_s,
             "disk_bytes": self.disk_bytes,
+            "disk_kept_bytes": self.disk_kept_bytes,
             "joints": {
                 peak.joint: {
                     "device": peak.device,
@@ -294,8 +300,13 @@ class Planner:
         """Return every limit a condition would leave, with its size; empty if it can be run."""
         return self._excess(self._motion(condition), self._motions.envelope(condition))
 
-    def plan(self, conditions: Sequence[Condition]) -> Plan:
+    def plan(self, conditions: Sequence[Condition], *, more_columns_hz: float = 0.0) -> Plan:
         """Check all conditions, with time and disk; nothing is connected, nothing moves.
+
+        Parameters
+        ----------
+        more_columns_hz
+            Values a second that are recorded beside those of the sensors.
 
         Returns
         -------
@@ -337,6 +348,7 @@ class Planner:
         slow_s = mean_s - settle_s + settle_at_most_s
         recorded_s = float(np.mean(samples))
         bytes_s = sum(s.rate_hz * _SAMPLE_BYTES * (len(s.channels) + 3) for s in self._rig.sensors.values())
+        trial_bytes = _TRIAL_BYTES + (bytes_s + _SAMPLE_BYTES * more_columns_hz) * recorded_s
         return Plan(
             conditions=len(conditions),
             trials=least,
@@ -345,7 +357,8 @@ class Planner:
             time_at_most_s=most * slow_s,
             settle_s=settle_s,
             settle_at_most_s=settle_at_most_s,
-            disk_bytes=int(least * (_TRIAL_BYTES + bytes_s * recorded_s)),
+            disk_bytes=int(least * trial_bytes * (1.0 + _PACKED_SHARE)),
+            disk_kept_bytes=int(least * trial_bytes * _PACKED_SHARE),
             peaks=tuple(self._peaks(peaks)),
             rates_hz={name: sensor.rate_hz for name, sensor in self._rig.sensors.items()},
             excess=tuple(broken),

@@ -7,6 +7,7 @@ import numpy as np
 
 from labrun.devices import Excess, Samples, Trajectory
 from labrun.errors import DeviceError
+from labrun.estimate import outside_text
 from labrun.runner.bench import Bench
 from labrun.runner.motion import MotionMaker, TrialMotion
 from labrun.spec import Condition, Experiment
@@ -222,7 +223,8 @@ class _Watched(SampleCollector):
             if left.any():
                 first = int(np.argmax(left))
                 raise _LeftError(
-                    f"{name} = {values[first]:.4g} {channels[place].unit} is outside {low:g} ... {high:g}",
+                    f"{name} = {outside_text(float(values[first]), low, high)} {channels[place].unit} is outside "
+                    f"{low:g} ... {high:g}",
                     after=bool(block.host_time_s[first] > self.ends_s),
                 )
 

@@ -21,11 +21,21 @@ from labrun.devices import (
 from labrun.errors import DeviceError, LabrunError, RequestError, SpecError
 from labrun.registry import load
 from labrun.runner.resolve import STAND_IN, EmulatedBench, ResolvedDevice, missing_ports, resolve_device
-from labrun.runner.safety import PATIENCE_S, Watchdog, blaming, start_watchdog, stop_all
+from labrun.runner.safety import (
+    PATIENCE_S,
+    DeviceCalls,
+    Watchdog,
+    at_once,
+    start_watchdog,
+    stop_all,
+    wrong_answer,
+)
 from labrun.spec import Experiment, scene_of
 
 _SCENE_STREAM = 0x5CE
 _DEVICE_STREAM = 0xDEF
+_CLOSING_S = 10.0
+"""How long devices may take to disconnect."""
 
 
 class Rig:
@@ -69,7 +79,8 @@ class Rig:
         self.emulated = emulated
         self.watchdog: Watchdog | None = None
         self._watchdog_s = watchdog_s
-        self._all_stopped = True
+        self.unstopped: list[str] = []
+        """What the latest `safe_stop` could not stop, and why."""
         self.devices: dict[str, Device] = {}
         self.limits: dict[str, Limits] = {}
         for number, item in enumerate(resolved):
@@ -84,6 +95,8 @@ class Rig:
         self.arranging = {name: d for name, d in self.devices.items() if isinstance(d, Arranging)}
         self.paced = {name: d for name, d in self.devices.items() if isinstance(d, Paced)}
         self.joints = _joints(self.actuators)
+        self.calls = DeviceCalls(list(self.devices), self._tell_watchdog)
+        """Surrounds every call of a device."""
 
     @classmethod
     def build(
@@ -178,26 +191,35 @@ class Rig:
 
     def close(self) -> None:
         """Disconnect every device, whatever each of them says; the watchdog stops what `safe_stop` could not."""
-        self._each(self.devices, lambda device: device.close())
+        self._close(self.devices)
         if self.watchdog is not None:
-            if self._all_stopped:
-                self.watchdog.end()
-            else:
+            if self.unstopped:
                 self.watchdog.abandon()
+            else:
+                self.watchdog.end()
             self.watchdog = None
+
+    def _close(self, devices: Mapping[str, Device]) -> None:
+        """Disconnect devices, whatever each of them says; one that hangs is left behind."""
+        if self.dry_run:
+            self._each(devices, lambda device: device.close())
+        else:
+            at_once(devices, lambda device: device.close(), _CLOSING_S)
 
     def safe_stop(self) -> list[str]:
         """Stop all motion, at any moment, from any thread; never raises. Return what could not be stopped, and why."""
         failures = stop_all({**self.actuators, **self.carriages}, self.beat)
-        self._all_stopped = not failures
+        self.unstopped = failures
         return failures
 
     def identities(self) -> dict[str, Identity]:
         """Ask every device what it is; DeviceError if one cannot say."""
         found: dict[str, Identity] = {}
         for name, device in self.devices.items():
-            with blaming(name):
+            with self.calls(name, "identify"):
                 found[name] = device.identify()
+            if not isinstance(found[name], Identity):
+                raise wrong_answer(name, "identify", found[name], "an Identity")
         return found
 
     def arm(self) -> None:
@@ -215,10 +237,14 @@ class Rig:
         if self.watchdog is not None:
             self.watchdog.beat()
 
+    def _tell_watchdog(self, number: int | None) -> None:
+        if self.watchdog is not None:
+            self.watchdog.calling(number)
+
     def reopen(self, name: str) -> None:
         """Disconnect a device that failed and connect it anew; DeviceError if it does not come back."""
-        self._each({name: self.devices[name]}, lambda device: device.close())
-        with blaming(name):
+        self._close({name: self.devices[name]})
+        with self.calls(name, "open"):
             self.devices[name].open()
 
     def reseed(self, seed: int, trial_index: int, *stretch: int) -> None:
@@ -240,6 +266,8 @@ class Rig:
         if not self.dry_run:
             return memory
         if self.scene is not None:
+            if not self.sensors:  # nobody looks at it: it moves on here, and lets go of its past
+                self.scene.observe(tuple(self.scene.signals), np.array([self.clock.now()]))
             memory["scene"] = self.scene.snapshot()
         devices = {name: d.snapshot() for name, d in self.devices.items() if hasattr(d, "snapshot")}
         if devices:

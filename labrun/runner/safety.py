@@ -1,25 +1,26 @@
 """Stopping everything that moves, first thing on any exit; how a run or a trial ends early; the watchdog."""
 
 import os
-import signal
 import subprocess
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from types import FrameType, TracebackType
-from typing import Any
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from types import TracebackType
 
 from labrun.devices import Device, processes
 from labrun.devices.clock import RealClock
-from labrun.devices.processes.watchdog import ARM, BEAT, DISARM, QUIT, READY
+from labrun.devices.processes.watchdog import (
+    ARM,
+    BEAT,
+    DISARM,
+    FIRST_CALL,
+    MOST_DEVICES,
+    NO_CALL,
+    QUIT,
+    READY,
+)
 from labrun.errors import DeviceError, ExperimentError, LabrunError, PluginError
 from labrun.runner.resolve import ResolvedDevice
-
-
-class Interrupted(LabrunError):  # noqa: N818  being asked to stop is not an error
-    """Ctrl-C or SIGTERM: actuators stopped, data kept; the hint says how to go on."""
-
-    exit_code = 130
 
 
 class LimitReached(Exception):  # noqa: N818  a stop that was asked for is not an error
@@ -34,27 +35,92 @@ class NonsenseError(DeviceError):
     """A device answered something that cannot be a measurement."""
 
 
+class HungDeviceError(DeviceError):
+    """A call of a device's driver does not return."""
+
+
+def wrong_answer(device: str, method: str, value: object, expected: str) -> NonsenseError:
+    """Return the error for a driver's method that returned what it must not."""
+    text = "None" if value is None else f"a {type(value).__name__}"
+    return NonsenseError(
+        device, f"its {method}() returned {text}; expected {expected}", hint="this is a fault of its driver"
+    )
+
+
+class DeviceCalls:
+    """Which device the runner is waiting for: what is to blame for a hang.
+
+    Parameters
+    ----------
+    names
+        The devices of the rig, in their order.
+    tell
+        Called with the device's number when a call begins, and with None when it has returned.
+    """
+
+    def __init__(self, names: Sequence[str], tell: Callable[[int | None], object]) -> None:
+        self._numbers = {name: number for number, name in enumerate(names)}
+        self._tell = tell
+        self._clock = RealClock()
+        self._current: tuple[str, str, float] | None = None
+
+    def __call__(self, device: str, method: str) -> "blaming":
+        """Return the context of one call."""
+        return blaming(device, self, method)
+
+    def begin(self, device: str, method: str) -> None:
+        """Note that a call begins."""
+        self._current = (device, method, self._clock.now())
+        self._tell(self._numbers[device])
+
+    def end(self) -> None:
+        """Note that it has returned, or raised."""
+        self._current = None
+        with suppress(LabrunError):  # the watchdog is gone: the next beat says so
+            self._tell(None)
+
+    def hung(self, after_s: float) -> HungDeviceError | None:
+        """Return what to raise if the call under way has lasted for so long; None if none has."""
+        if self._current is None:
+            return None
+        device, method, since_s = self._current
+        passed_s = self._clock.now() - since_s
+        if passed_s < after_s:
+            return None
+        return HungDeviceError(
+            device,
+            f"its {method}() has not returned for {passed_s:.1f} s",
+            hint="check its cable and power; if it stays, this is a fault of its driver, which must not wait",
+        )
+
+
 class blaming:  # noqa: N801  reads as a statement: with blaming(device)
     """Turn whatever a driver raises into a DeviceError that names the device; labrun's own errors pass.
 
     A class, and no generator: it surrounds every call of a driver, hundreds of times a trial.
     """
 
-    __slots__ = ("_device",)
+    __slots__ = ("_calls", "_device", "_method")
 
-    def __init__(self, device: str) -> None:
+    def __init__(self, device: str, calls: DeviceCalls | None = None, method: str = "") -> None:
         self._device = device
+        self._calls = calls
+        self._method = method
 
     def __enter__(self) -> None:
-        return None
+        if self._calls is not None:
+            self._calls.begin(self._device, self._method)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self._calls is not None:
+            self._calls.end()
         if isinstance(error, Exception) and not isinstance(error, LabrunError):
+            call = f" in {self._method}()" if self._method else ""
             raise DeviceError(
                 self._device,
-                f"its driver failed: {type(error).__name__}: {error}",
+                f"its driver failed{call}: {type(error).__name__}: {error}",
                 hint="check its cable and power; if it stays, this is a fault of its driver",
             ) from error
 
@@ -67,84 +133,70 @@ _BEAT_S = 0.05
 def stop_all(devices: Mapping[str, Device], beat: Callable[[], object] = lambda: None) -> list[str]:
     """Stop every device at the same time; never raises.
 
-    Each stop runs in a thread of its own: a device that hangs cannot keep the others moving, and a driver whose lock
-    the interrupted main thread holds gets it as soon as that thread goes on.
-
-    Parameters
-    ----------
-    beat
-        Called while waiting: a stop that hangs is no reason for the watchdog to kill the runner with its data.
-
     Returns
     -------
     list of str
         One sentence for every device that could not be stopped in time.
     """
-    failures: dict[str, str] = {}
+    failures = at_once(devices, lambda device: device.safe_stop(), PATIENCE_S, beat)
+    return [
+        f"{name} did not stop within {PATIENCE_S:g} s"
+        if error is None
+        else f"{name} could not be stopped: {type(error).__name__}: {error}"
+        for name, error in failures.items()
+    ]
 
-    def stop(name: str, device: Device) -> None:
+
+def at_once(
+    devices: Mapping[str, Device],
+    action: Callable[[Device], object],
+    patience_s: float,
+    beat: Callable[[], object] = lambda: None,
+) -> dict[str, BaseException | None]:
+    """Do something with every device at the same time; never raises.
+
+    Each runs in a thread of its own: a device that hangs cannot keep the others moving, and a driver whose lock
+    the interrupted main thread holds gets it as soon as that thread goes on.
+
+    Parameters
+    ----------
+    beat
+        Called while waiting: a device that hangs is no reason for the watchdog to kill the runner with its data.
+
+    Returns
+    -------
+    dict
+        What each device raised that failed; None of one that was not done in `patience_s`.
+    """
+    failures: dict[str, BaseException | None] = {}
+
+    def act(name: str, device: Device) -> None:
         try:
-            device.safe_stop()
-        except BaseException as error:  # a driver must not raise here; if it does, the others still stop
-            failures[name] = f"{name} could not be stopped: {type(error).__name__}: {error}"
+            action(device)
+        except (
+            BaseException
+        ) as error:  # a driver must not raise here; if it does, the others still get their turn
+            failures[name] = error
 
     threads: dict[str, threading.Thread] = {}
     for name, device in devices.items():
-        thread = threading.Thread(target=stop, args=(name, device), daemon=True, name=f"stop {name}")
+        thread = threading.Thread(target=act, args=(name, device), daemon=True, name=f"labrun {name}")
         try:
             thread.start()
         except RuntimeError:  # no threads any more: the interpreter is going down
-            stop(name, device)
+            act(name, device)
             continue
         threads[name] = thread
     clock = RealClock()
-    deadline_s = clock.now() + PATIENCE_S
+    deadline_s = clock.now() + patience_s
     for name, thread in threads.items():
         while thread.is_alive() and (left_s := deadline_s - clock.now()) > 0:
             thread.join(min(_BEAT_S, left_s))
             with suppress(LabrunError):  # the watchdog is gone: the stop goes on without it
                 beat()
         if thread.is_alive():
-            failures[name] = f"{name} did not stop within {PATIENCE_S:g} s"
-    return list(failures.values())
-
-
-class StopRequest:
-    """Whether a person or the system asked the run to end."""
-
-    def __init__(self) -> None:
-        self.reason: str | None = None
-
-    def check(self) -> None:
-        """Raise Interrupted if the run was asked to end."""
-        if self.reason is not None:
-            raise Interrupted(f"interrupted by {self.reason}: actuators are stopped, data is kept")
-
-
-@contextmanager
-def interruptible(stop: Callable[[], object]) -> Iterator[StopRequest]:
-    """Turn Ctrl-C and SIGTERM into a stop at once and a request that the run sees at its next look at the bench.
-
-    The handler only stops the actuators and notes the request, so that it can never cut a file being written; asking
-    again stops again. Outside the main thread, where Python has no signal handlers, nothing is installed.
-    """
-    request = StopRequest()
-    if threading.current_thread() is not threading.main_thread():
-        yield request
-        return
-
-    def handle(number: int, _frame: FrameType | None) -> None:
-        request.reason = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
-        stop()
-
-    previous: dict[signal.Signals, Any] = {}
-    for wanted in (signal.SIGINT, signal.SIGTERM):
-        previous[wanted] = signal.signal(wanted, handle)
-    try:
-        yield request
-    finally:
-        for wanted, handler in previous.items():
-            signal.signal(wanted, handler)
+            failures[name] = None
+    return dict(failures)
 
 
 _START_S = 30.0
@@ -183,6 +235,11 @@ class Watchdog:
         if self._armed and now_s >= self._due_s:
             self._due_s = now_s + self._every_s
             self._send(BEAT)
+
+    def calling(self, number: int | None) -> None:
+        """Say which device is waited for from now on; None for none. Counts as a sign of life."""
+        if self._armed and (number is None or number < MOST_DEVICES):
+            self._send(NO_CALL if number is None else bytes((FIRST_CALL + number,)))
 
     def end(self) -> None:
         """Say farewell and wait for the process to end; never raises."""
@@ -225,10 +282,8 @@ class Watchdog:
             ) from error
 
 
-def start_watchdog(
-    resolved: Sequence[ResolvedDevice], moving: Collection[str], timeout_s: float
-) -> Watchdog | None:
-    """Start the watchdog for the devices that move; None if there are none.
+def start_watchdog(resolved: Sequence[ResolvedDevice], moving: Collection[str], timeout_s: float) -> Watchdog:
+    """Start the watchdog: it minds the calls of all devices, and stops those that move.
 
     Raises
     ------
@@ -243,16 +298,21 @@ def start_watchdog(
             "name": item.name,
             "plugin": item.plugin,
             "settings": item.settings.model_dump(mode="json", exclude_unset=True),
+            "moves": item.name in moving,
         }
         for item in resolved
-        if item.name in moving
     ]
-    if not devices:
-        return None
     process = processes.start("watchdog")
     watchdog = Watchdog(process, timeout_s)
     try:
-        processes.tell(process, {"devices": devices, "timeout_s": timeout_s, "runner_pid": os.getpid()})
+        task = {
+            "devices": devices,
+            "timeout_s": timeout_s,
+            "runner_pid": os.getpid(),
+            # signals, by which a call that hangs is broken off, are the main thread's
+            "may_alarm": threading.current_thread() is threading.main_thread(),
+        }
+        processes.tell(process, task)
         answer = processes.answer(process, _START_S).decode().strip()
     except OSError:
         answer = ""

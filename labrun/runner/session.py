@@ -1,12 +1,14 @@
 """A session at the bench: conditions in, measurements out; every trial stored on the way."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Self
 
 from labrun.devices import Clock
 from labrun.devices.clock import RealClock
 from labrun.errors import DeviceError, ExperimentError, LimitExceededError, RecordingError
+from labrun.interrupts import Interrupted, Interrupts, handled
 from labrun.runner.asking import Person, Willing
 from labrun.runner.bench import Bench
 from labrun.runner.by_hand import SET_ASIDE, Mounting, Mountings
@@ -16,7 +18,7 @@ from labrun.runner.motion import MotionMaker
 from labrun.runner.plan import check_wiring
 from labrun.runner.recording import Recorder, TrialRequest, record_planned
 from labrun.runner.rig import Rig
-from labrun.runner.safety import LimitReached, StopRequest, interruptible
+from labrun.runner.safety import LimitReached
 from labrun.runner.settle import needs_baseline, unsettled
 from labrun.runner.trial import TrialRunner
 from labrun.spec import Condition, Experiment, RepeatRule, condition_text
@@ -55,6 +57,8 @@ class SilentProgress(Progress):
 _COME_BACK_S = 10.0
 """How long a device that failed may stay away before the run ends: a plug put back takes some seconds to be found."""
 _TRY_AGAIN_S = 0.5
+_HUNG_S = 1.0
+"""A call of a device that lasts longer hangs, once somebody asks: the watchdog, or a signal to stop."""
 _MOST_FAILURES = 10
 """So many failed trials in a row end a run that skips or repeats each: a night is not worn out in minutes."""
 _MOST_RAISED = 5
@@ -117,7 +121,7 @@ class Session:
         self._progress: Progress = progress if progress is not None else SilentProgress()
         self._limit = limit
         self._told = taken
-        self._request = StopRequest()
+        self._interrupts = Interrupts()
         self._bench = Bench(rig, clock, self._check_stop, rig.beat)
         self._trials = TrialRunner(
             experiment,
@@ -197,7 +201,7 @@ class Session:
         Raises
         ------
         Interrupted
-            Ctrl-C or SIGTERM; actuators are stopped, data is kept.
+            Ctrl-C, SIGTERM or SIGHUP; actuators are stopped, data is kept.
         LimitReached
             As many new trials as asked for are done.
         DeviceError, LimitExceededError, SettleError, StoreError
@@ -211,14 +215,37 @@ class Session:
         found = [Measurement(condition, role, ()) for condition in conditions]
         self._decided = self.index
         self._tell_worn(conditions)
-        with interruptible(self._rig.safe_stop) as self._request:
+        with self._stopping_when_asked():
             self._hands.plan(
                 conditions, order, seed=self._seed, trial_index=self.index, damages=self._damage.would
             )
             while mounting := self._hands.next(self.index):
                 self._mounting = mounting.number
                 self._measure_block(mounting, found, rule, order)
+            self._check_stop()
         return [self._as_marked(item) for item in found]
+
+    @contextmanager
+    def _stopping_when_asked(self) -> Iterator[None]:
+        """Stop the actuators as soon as a signal asks to stop; the run sees it at its next look at the bench.
+
+        A signal therefore never cuts a file that is being written.
+        """
+        with handled() as self._interrupts, self._interrupts.held(self._rig.safe_stop, self._hung_call):
+            try:
+                yield
+            except Interrupted as error:
+                if self._rig.unstopped:
+                    reasons = "; ".join(self._rig.unstopped)
+                    raise Interrupted(error.number, f": {reasons}; data is kept") from error
+                raise
+
+    def _hung_call(self) -> DeviceError | None:
+        """Return what to raise in the place of a call of a device that does not return; None if none hangs."""
+        error = self._rig.calls.hung(_HUNG_S)
+        if error is not None:
+            self._rig.beat()
+        return error
 
     def _tell_worn(self, conditions: Sequence[Condition]) -> None:
         """Say which specimens earlier runs left damaged; refuse a plan of nothing else."""
@@ -302,7 +329,7 @@ class Session:
         self._bench.clock.sleep(self._bench.clock.poll_s)
 
     def _check_stop(self) -> None:
-        self._request.check()
+        self._interrupts.check()
 
     def _reference_if_due(self) -> None:
         reference = self._experiment.trial.reference
@@ -343,7 +370,8 @@ class Session:
                 f"trial {request.index} of {self._folder.path} measured {condition_text(outcome.condition)} "
                 f"({outcome.role}), "
                 f"but the plan has {condition_text(request.condition)} ({request.role}) there",
-                hint="the plan, the seed or labrun itself is not the one this run began with: start a new run",
+                hint="spec.toml or provenance.json of the run was edited, or this version of labrun orders trials "
+                "differently; the stored trials stay readable, start a new run for the others",
             )
         if outcome.reason.startswith((OUTLIER, SET_ASIDE)):
             # Rejected later, by what followed: at this point of the run it still counted.

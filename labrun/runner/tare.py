@@ -6,9 +6,10 @@ import numpy as np
 
 from labrun.devices import FloatArray, Samples
 from labrun.errors import DeviceError, SpecError
+from labrun.objectives import make_objective
 from labrun.runner.bench import Bench
 from labrun.runner.rig import Rig
-from labrun.spec import Tare
+from labrun.spec import Experiment, Tare
 
 _FORCE_UNITS = ("N", "N m")
 
@@ -26,6 +27,38 @@ def tared_devices(rule: Tare | None, rig: Rig) -> tuple[str, ...]:
                 f"trial.tare.devices: {name!r} is not a sensor of this rig", hint=f"sensors: {known}"
             )
     return tuple(rule.devices)
+
+
+def untared_objectives(experiment: Experiment, rig: Rig) -> list[str]:
+    """Return a sentence for each objective that reads a force or torque whose zero nothing finds.
+
+    Objectives that a constant offset does not change are left out, and sensors whose zero is known without a tare (see
+    `labrun.devices.Sensor`).
+    """
+    tared = tared_devices(experiment.trial.tare, rig)
+    notes = []
+    for name, table in experiment.objectives.items():
+        objective = make_objective(name, table)
+        if getattr(objective, "offset_free", False):
+            continue
+        keys = getattr(type(objective), "channel_settings", ())
+        channels = [table.channel or "", *(str(table.settings.get(key, "")) for key in keys)]
+        notes += [
+            f"objective {name} reads {channel}, whose zero is never taken: its offset counts as {name}; "
+            "add tare = { duration_s = 1 } to [trial], or name its device in trial.tare.devices"
+            for channel in channels
+            if channel.partition(".")[0] not in tared and _has_unknown_zero(channel, rig)
+        ]
+    return notes
+
+
+def _has_unknown_zero(channel: str, rig: Rig) -> bool:
+    """Tell whether "device.channel" is a force or torque that is measured from no known zero."""
+    device, _, column = channel.partition(".")
+    sensor = rig.sensors.get(device)
+    if sensor is None or getattr(sensor, "zero_known", False):
+        return False
+    return any(one.name == column and one.unit in _FORCE_UNITS for one in sensor.channels)
 
 
 def tare(bench: Bench, rule: Tare | None) -> dict[str, float]:

@@ -10,18 +10,21 @@ from labrun.errors import DeviceError, ExperimentError, LabrunError
 from labrun.runner.asking import Asking, Onlooker, Person, Willing
 from labrun.runner.bench import Bench
 from labrun.runner.damage import Damage
+from labrun.runner.following import require_followed
 from labrun.runner.measurement import ObjectiveError, ObjectiveEvaluation
 from labrun.runner.motion import MotionMaker, TrialMotion
 from labrun.runner.recording import Recorder, SampleCollector, TrialRecording, TrialRequest
-from labrun.runner.safety import blaming
 from labrun.runner.settle import Settled, measure_baseline, settle
 from labrun.runner.stillness import Bounds
 from labrun.runner.tare import tare
-from labrun.spec import Experiment, Settle, condition_text
-from labrun.store import RunFolder, TrialOutcome, TrialWriter, json_ready
+from labrun.spec import Experiment, Settle, condition_text, scene_of
+from labrun.store import RunFolder, TrialOutcome, TrialWriter, in_bytes, json_ready
 
 BASELINE_INDEX = 2**31 - 1
 """Stands for the baseline where device noise is derived from a trial's index."""
+
+MOST_CHECKPOINT_BYTES = 1_000_000
+"""A simulated bench remembers some seconds; one that remembers more has a list that grows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +144,7 @@ class TrialRunner:
         writer = self._folder.writer(request.index)
         draft = _Draft(request, self._bench, writer, self._table.discard_cycles)
         try:
-            self._measure(request, draft)
+            self._measure_until_asked_to_stop(request, draft, writer)
         except DeviceError as fault:
             self._stop(request.index, fault)
             fault.happened(f"in trial {request.index}", draft.outcome.started_s)
@@ -164,7 +167,15 @@ class TrialRunner:
             raise
         return TrialResult(self._store(draft, writer), raised=raised)
 
-    def _measure(self, request: TrialRequest, draft: _Draft) -> None:
+    def _measure_until_asked_to_stop(self, request: TrialRequest, draft: _Draft, writer: TrialWriter) -> None:
+        """Measure; a device that complains because it was stopped on request has no fault."""
+        try:
+            self._measure(request, draft, writer)
+        except DeviceError:
+            self._bench.check_stop()
+            raise
+
+    def _measure(self, request: TrialRequest, draft: _Draft, writer: TrialWriter) -> None:
         """Do everything that moves or waits."""
         motion = draft.motion = self._motions.motion(request.condition)
         draft.know(duration_s=motion.duration_s, period_s=motion.period_s)
@@ -180,6 +191,7 @@ class TrialRunner:
         else:
             draft.know(tare=tare(self._bench, self._table.tare))
             self._record(request, motion, draft)
+            self._require_well(draft, writer)
         self._come_to_safe_pose(request.index)
         self._bench.stop_sensors()
         self._rig.disarm()
@@ -200,7 +212,7 @@ class TrialRunner:
             if request.mounting is not None and hasattr(self._rig.scene, "mount"):
                 self._rig.scene.mount(request.mounting)
         for name, device in self._rig.arranging.items():
-            with blaming(name):
+            with self._rig.calls(name, "arrange"):
                 device.arrange(request.condition)
         self._bench.wait_for_arrangements()
         self._bench.start_sensors()
@@ -247,6 +259,24 @@ class TrialRunner:
             for name, device in self._rig.paced.items():
                 self._journal("commands", index=request.index, device=name, **asdict(device.pacing()))
 
+    def _require_well(self, draft: _Draft, writer: TrialWriter) -> None:
+        """Make sure that no device restarted, lost its torque or left its command during the recording.
+
+        Raises
+        ------
+        DeviceError
+            One did: what was recorded is not what the trial was to show.
+        """
+        self._bench.check_health()
+        motion, recording = draft.motion, draft.recording
+        if (
+            motion is None or recording is None or recording.fault
+        ):  # stopped on purpose, before its motion was over
+            return
+        recorded = writer.signals(draft.outcome.started_s, draft.outcome.tare)
+        until = self._table.until is not None
+        require_followed(self._table.follow, self._rig, recorded, motion, periodic=until)
+
     def _come_to_safe_pose(self, index: int) -> None:
         if self._safe_pose:
             self._phase("safe pose")
@@ -292,7 +322,11 @@ class TrialRunner:
         self._phase("store")
         if draft.recorded:
             draft.know(damage=self._damage.done_by(draft.outcome))
-        draft.know(checkpoint=self.checkpoint())
+        try:
+            draft.know(checkpoint=self.checkpoint())
+        except ExperimentError as error:
+            self._keep_unfinished(draft, writer, error)
+            raise
         outcome = self._finish(draft, writer)
         if draft.recording is not None:
             draft.recording.stored()
@@ -331,11 +365,33 @@ class TrialRunner:
         self._journal("baseline", spread=self.baseline.spread, drift=self.baseline.drift)
 
     def checkpoint(self) -> str:
-        """Return what a resumed run needs to go on from here, as JSON."""
+        """Return what a resumed run needs to go on from here, as JSON.
+
+        Raises
+        ------
+        ExperimentError
+            It is larger than a bench's memory can be: the scene, or a device, keeps all of its past.
+        """
         memory = self._bench.snapshot()
         if self.baseline is not None:
             memory["baseline"] = {"spread": list(self.baseline.spread), "drift": list(self.baseline.drift)}
-        return json.dumps(memory, default=json_ready)
+        text = json.dumps(memory, default=json_ready)
+        if len(text) > MOST_CHECKPOINT_BYTES:
+            raise self._too_much_memory(memory)
+        return text
+
+    def _too_much_memory(self, memory: Mapping[str, Any]) -> ExperimentError:
+        scene = scene_of(self._experiment.rig).plugin
+        parts = {f"device {name}": part for name, part in memory.get("devices", {}).items()}
+        parts[f"the scene {scene}"] = memory.get("scene")
+        sizes = {name: len(json.dumps(part, default=json_ready)) for name, part in parts.items()}
+        name = max(sizes, key=lambda part: sizes[part])
+        return ExperimentError(
+            f"{name} returned a snapshot of {in_bytes(sizes[name])}; at most "
+            f"{in_bytes(MOST_CHECKPOINT_BYTES)} are kept with a trial",
+            hint="a list in it grows with every trial: let drive() drop what is over, as on the page "
+            '"A scene of your own"',
+        )
 
     def restore(self, checkpoint: str) -> None:
         """Go on from a checkpoint, see `Bench.restore`."""

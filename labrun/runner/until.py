@@ -19,7 +19,7 @@ from labrun.signals import Signals
 from labrun.spec import CYCLES, Criterion, Experiment
 from labrun.store import Journal, RunFolder, dated, tare_of, undated
 
-_HEAD, _CYCLE, _REST = "begun", "cycle", "rest"
+_HEAD, _CYCLE, _HELD, _REST = "begun", "cycle", "held", "rest"
 
 
 class CycleLog:
@@ -78,6 +78,11 @@ class CycleLog:
         self._journal.append(_CYCLE, values=dict(values), samples=more)
         self._grow(values)
 
+    def hold(self, count: int) -> None:
+        """Count so many cycles as the latest one: nobody measured them."""
+        self._journal.append(_HELD, cycles=count)
+        self._repeat(count)
+
     def rest(self, checkpoint: Mapping[str, Any]) -> None:
         """Keep what the bench is like between two stretches."""
         self._journal.append(_REST, checkpoint=dict(checkpoint))
@@ -122,12 +127,18 @@ class CycleLog:
             elif event["event"] == _CYCLE:
                 self._grow(event["values"])
                 self._kept.append(event["samples"])
+            elif event["event"] == _HELD:
+                self._repeat(event["cycles"])
             elif event["event"] == _REST:
                 self.checkpoint = event["checkpoint"]
 
     def _grow(self, values: Mapping[str, float]) -> None:
         for name, value in values.items():
             self.values.setdefault(name, array("d")).append(value)
+
+    def _repeat(self, count: int) -> None:
+        for values in self.values.values():
+            values.extend([values[-1]] * count)
 
     def _set_aside(self) -> None:
         path = self._journal.path
@@ -165,6 +176,9 @@ class UntilRecorder:
     cycle is reduced to its objectives, which are on disk before the next one ends; of the first cycle of each stretch
     the samples are kept as well, dated by the motion: rests are taken out. An interrupted trial goes on with the cycle
     after the last one that was kept.
+
+    With `judge_every`, stretches are as long as that, once the first `keep_every` cycles are over, and the first cycle
+    of each is measured. A dry run computes nothing of the sensors in the others.
 
     Parameters
     ----------
@@ -236,13 +250,17 @@ class UntilRecorder:
         if log.cycles and self._criterion.holds(log.values):
             return True  # stopped between the last cycle and its storing
         while log.cycles < until.max_cycles:
-            place = log.cycles % until.keep_every
-            count = min(until.keep_every - place, until.max_cycles - log.cycles)
+            sparing = until.judge_every > 1 and log.cycles >= until.keep_every
+            every = until.judge_every if sparing else until.keep_every
+            count = min(every - log.cycles % every, until.max_cycles - log.cycles)
             start_s = bench.clock.now() + LEAD_S
             bench.follow(_beginning(recording.motion.trajectory, count * period_s), start_s)
-            if self._stretch(recording, log, start_s, period_s, count):
+            if self._stretch(recording, log, start_s, period_s, 1 if sparing else count):
                 return True
-            if self._rig.dry_run and log.cycles < until.max_cycles:
+            if sparing and count > 1:
+                self._pass_over(recording, start_s + count * period_s + TAIL_S)
+                log.hold(count - 1)
+            if self._rig.dry_run and log.cycles < until.max_cycles and log.cycles % until.keep_every == 0:
                 bench.stop_sensors()
                 log.rest(bench.snapshot())
                 self._rig.reseed(self._seed, recording.request.index, log.cycles)
@@ -281,6 +299,21 @@ class UntilRecorder:
                 bench.move(rest, recording.move_speed_rad_s)
                 return True
         return False
+
+    def _pass_over(self, recording: TrialRecording, until_s: float) -> None:
+        """Let the joints move on without measuring; on a bench its health is looked at all the same."""
+        bench, collector = recording.bench, recording.collector
+
+        def take(blocks: Mapping[str, Samples]) -> None:
+            for name, block in blocks.items():
+                collector.count(name, block)
+
+        if not self._rig.dry_run:
+            bench.watch(until_s, take)
+            return
+        bench.stop_sensors()
+        bench.clock.sleep(until_s - bench.clock.now())
+        bench.start_sensors()
 
     def _kept(
         self,

@@ -160,18 +160,17 @@ class _Search:
                 + "; ".join(worst.violations.texts),
                 hint="widen the limits or `where`, or give the variables an initial point that holds",
             )
-        verdict = judge(
+        return judge(
             reason,
             self._spreads,
             budget_spent=self._watch.over,
+            is_constant=self._is_constant(),
             goal=self._table.stop.step_size_below,
             trials=self._watch.trials,
             trials_each=self._trials_of(self._population),
             generations=self._watch.generation,
             level=self.level or None,
         )
-        self.progress.note(f"search {verdict.text}")
-        return verdict
 
     def _descend(self, restart: int) -> str:
         """Run one strategy until it, or the whole search, is to stop; return why."""
@@ -281,6 +280,11 @@ class _Search:
             (cost, item) for item in self._known.values() if (cost := item.cost(self._sign)) is not None
         ]
         return min(measured, key=lambda one: one[0])[1] if measured else None
+
+    def _is_constant(self) -> bool:
+        """Tell whether all trials of at least two different candidates gave the same value, to the last bit."""
+        measured = [candidate.values for candidate in self._known.values() if candidate.values]
+        return len(measured) > 1 and len({value for values in measured for value in values}) == 1
 
     def _keep(
         self, strategy: Strategy, restart: int, candidates: Sequence[SearchCandidate], known: int

@@ -9,7 +9,7 @@ import numpy as np
 
 from labrun.spec import StopRules
 
-Ending = Literal["converged", "stagnated", "budget spent"]
+Ending = Literal["converged", "stagnated", "budget spent", "constant"]
 
 _BEYOND_NOISE = 2.0
 CONVERGED_BELOW = 0.02
@@ -59,6 +59,11 @@ class StopWatch:
             return f"{self.generation} generations, as many as the file allows"
         if rules.trials is not None and self.generation and self.trials + planned_trials > rules.trials:
             self.over = True
+            if self.trials > rules.trials:
+                return (
+                    f"{self.trials} trials, more than stop.trials = {rules.trials}: "
+                    "a search measures one whole generation at least"
+                )
             return f"{self.trials} trials; another generation of {planned_trials} would exceed {rules.trials}"
         return None
 
@@ -111,7 +116,7 @@ class Verdict:
     ----------
     ending
         "converged": candidates no longer differ; "stagnated": no progress beyond the noise while they still do; "budget
-        spent": generations or trials ran out before either.
+        spent": generations or trials ran out before either; "constant": every candidate gave the same value.
     reason
         The rule that ended it.
     spread, goal
@@ -141,6 +146,11 @@ class Verdict:
         size = f"{100 * self.spread:.2g} % of a range"
         if self.ending == "converged":
             return f"converged: {self.reason}; candidates spread over {size}"
+        if self.ending == "constant":
+            return (
+                f"constant: all {self.trials} trials gave the same value, so the objective does not depend on the "
+                "parameters; check its channel, and that the gait uses them"
+            )
         if self.ending == "stagnated":
             rest = f"candidates still spread over {size}: what is left to gain is hidden by the noise"
             return f"stagnated: {self.reason}; {rest}; more repeats would show it, or a larger population"
@@ -169,6 +179,7 @@ def judge(
     spreads: Sequence[float],
     *,
     budget_spent: bool,
+    is_constant: bool,
     goal: float | None,
     trials: int,
     trials_each: int,
@@ -185,6 +196,8 @@ def judge(
         Largest standard deviation of the candidates after each generation of that descent, as a share of the range.
     budget_spent
         Whether generations or trials ran out.
+    is_constant
+        Whether every trial gave the same value.
     goal
         Spread below which the file wants it to end; `CONVERGED_BELOW` if None.
     trials, trials_each, generations
@@ -198,6 +211,8 @@ def judge(
     """
     limit = CONVERGED_BELOW if goal is None else goal
     spread = spreads[-1] if spreads else math.inf
+    if is_constant:
+        return Verdict("constant", reason, spread, limit, generations, trials, level=level)
     if spread < limit:
         return Verdict("converged", reason, spread, limit, generations, trials, level=level)
     if not budget_spent:

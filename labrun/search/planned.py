@@ -19,7 +19,7 @@ from labrun.devices import Excess
 from labrun.errors import PlanError
 from labrun.search.constraints import Constraint, LimitExcesses, constraints
 from labrun.search.leaders import Measured, Measures, Numbers
-from labrun.spec import Combine, Condition, Experiment, Interval, Range, RepeatRule, Sweep, Value
+from labrun.spec import Combine, Condition, Experiment, Interval, Range, RepeatRule, Sweep, Value, value_text
 from labrun.store import Role
 
 _LARGEST_GRID = 2_000_000
@@ -253,12 +253,7 @@ class Combined:
         each round would be biased by the noise. None without an accepted trial at every setting.
         """
         each = [part.values(objective) for part in self.parts]
-        if min(len(values) for values in each) == 0:
-            return np.empty(0)
-        if self.combine == "worst":
-            return each[self._worst(each)]
-        rounds = np.stack([values[: min(map(len, each))] for values in each])
-        return np.asarray(rounds.sum(axis=0) if self.combine == "sum" else rounds.mean(axis=0))
+        return combined_values(each, self.combine, worst_is_least=self.worst_is_least)
 
     def truncation(self, objective: str) -> float:
         """Return what cut cycles may have done to the mean of the combined value."""
@@ -274,9 +269,28 @@ class Combined:
         each = [tuple(part.mountings[:rounds]) for part in self.parts]
         return each[0] if len(set(each)) == 1 and self.combine != "worst" else (None,) * rounds
 
-    def _worst(self, each: Sequence[FloatArray]) -> int:
+
+def combined_values(each: Sequence[FloatArray], combine: Combine, *, worst_is_least: bool) -> FloatArray:
+    """Return the combined value of each round of repeats, from the values at every setting; see `Combined.values`."""
+    if min(len(values) for values in each) == 0:
+        return np.empty(0)
+    if combine == "worst":
         means = [float(values.mean()) for values in each]
-        return int(np.argmin(means) if self.worst_is_least else np.argmax(means))
+        return each[int(np.argmin(means) if worst_is_least else np.argmax(means))]
+    rounds = np.stack([values[: min(map(len, each))] for values in each])
+    return np.asarray(rounds.sum(axis=0) if combine == "sum" else rounds.mean(axis=0))
+
+
+def combined_text(experiment: Experiment) -> str:
+    """Return over which settings the objective is combined: ``sum over v = 0.1, 0.3, 0.6 m/s``; empty without any."""
+    if experiment.goal is None or not experiment.over:
+        return ""
+    settings = []
+    for name, values in experiment.over.items():
+        *before, last = values
+        shown = [*map(value_text, before), value_text(last, experiment.units.get(name, ""))]
+        settings.append(f"{name} = {', '.join(shown)}")
+    return f"{experiment.combine} over {' and '.join(settings)}"
 
 
 class OverSettings:

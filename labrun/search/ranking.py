@@ -1,5 +1,6 @@
 """Orders of the same candidates on two benches: how far they agree, and which candidate to take."""
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -95,6 +96,10 @@ class Ranking:
         Place of the gait whose lower bound in its worst water is greatest; None where no gait has an interval in all.
     notes
         What else there is to say.
+    laboratory_units
+        Unit of the objective of each laboratory run.
+    gait_units
+        Of the values of the gaits.
     """
 
     field: str
@@ -107,6 +112,8 @@ class Ranking:
     columns: tuple[FieldColumn, ...]
     winner: int | None
     notes: tuple[str, ...]
+    laboratory_units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    gait_units: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def _repr_html_(self) -> str:
         return as_reported("ranking_text", self)
@@ -202,7 +209,7 @@ def pooled_intervals(
     unlike = False
     # of two trials it sees nothing
     if len(several) > 1 and squares > 0.0 and min(map(len, several)) >= _LEAST:
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):  # trials that are all alike
             unlike = bool(stats.levene(*several, center="median").pvalue < 1.0 - _SHARE)
     if unlike or not several:
         return [t_interval(values, (), cut) for values, cut in zip(samples, truncations, strict=True)]

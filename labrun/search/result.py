@@ -10,7 +10,7 @@ from typing import Any
 from labrun.errors import RecordingError
 from labrun.notebook import as_html
 from labrun.search.ending import Verdict
-from labrun.spec import Value, condition_text
+from labrun.spec import Value, condition_text, value_text
 
 RESULT_FILE = "result.json"
 _MOST_REASONS = 4
@@ -35,6 +35,10 @@ class Best:
         Number of confirming trials behind `value`.
     truncation
         The part of the interval, to either side, that cycles cut by the window make; see `labrun.spec.Averaging`.
+    range_ends
+        Sentences on the ranges at whose end the winner stands, see `labrun.search.range_ends`.
+    combined
+        What of several settings `value` is, as ``sum over v = 0.1, 0.3 m/s``; empty where there is one setting.
     """
 
     parameters: Mapping[str, Value]
@@ -45,6 +49,8 @@ class Best:
     luckiest: float
     trials: int = 0
     truncation: float = 0.0
+    range_ends: tuple[str, ...] = ()
+    combined: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Return parameters, objective with interval and unit, and the luckiest observation."""
@@ -54,6 +60,8 @@ class Best:
             "objective": {"value": self.value, "ci95": interval, "unit": self.unit},
             "luckiest": self.luckiest,
             **({"truncation": self.truncation} if self.truncation else {}),
+            **({"range_ends": list(self.range_ends)} if self.range_ends else {}),
+            **({"combined": self.combined} if self.combined else {}),
         }
 
     def to_record(self) -> dict[str, Any]:
@@ -74,6 +82,8 @@ class Best:
             luckiest=record["luckiest"],
             trials=record["trials"],
             truncation=record.get("truncation", 0.0),
+            range_ends=tuple(record.get("range_ends", ())),
+            combined=record.get("combined", ""),
         )
 
 
@@ -214,7 +224,8 @@ def winner_lines(winners: Sequence[Best], levels: Sequence[Mapping[str, Value]])
     for best in winners:
         at = condition_text({name: best.parameters[name] for name in names})
         interval = "no interval" if best.ci95 is None else f"{best.ci95[0]:.4g} to {best.ci95[1]:.4g}"
-        lines.append(f"winner    {at}: {best.objective_name} = {best.value:.4g} {best.unit} ({interval})")
+        value = value_text(best.value, best.unit, digits=4)
+        lines.append(f"winner    {at}: {best.objective_name} = {value} ({interval})")
     return lines if len(winners) == 1 else [*lines, f"          {apart_text(winners, levels)}"]
 
 
@@ -277,12 +288,14 @@ def _best_lines(best: Best) -> list[str]:
         interval = "no interval: fewer than two confirming trials were accepted"
     else:
         interval = f"95 % interval {best.ci95[0]:.4g} to {best.ci95[1]:.4g}, {best.trials} confirming trials"
-    cut = [
-        f"          of that, {best.truncation:.2g} {best.unit} to either side for cycles that the window cuts"
-    ]
+    value, luckiest = (value_text(number, best.unit, digits=4) for number in (best.value, best.luckiest))
+    truncation = value_text(best.truncation, best.unit, digits=2)
+    cut = [f"          of that, {truncation} to either side for cycles that the window cuts"]
+    combined = f", {best.combined}" if best.combined else ""
     return [
-        f"best      {best.objective_name} = {best.value:.4g} {best.unit} ({interval})",
+        f"best      {best.objective_name} = {value}{combined} ({interval})",
         *(cut if best.truncation and best.ci95 is not None else []),
         f"at        {condition_text(best.parameters, digits=4)}",
-        f"luckiest  {best.luckiest:.4g} {best.unit} (best single trial; not what to expect)",
+        *(f"          {note}" for note in best.range_ends),
+        f"luckiest  {luckiest} (best single trial; not what to expect)",
     ]

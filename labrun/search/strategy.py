@@ -93,6 +93,7 @@ class Strategy:
         self._es.adapt_sigma.cs = wanted.c_sigma
         self._es.adapt_sigma.damps = wanted.d_sigma
         self._es.sp.cc = wanted.c_c
+        self._cost_unit: float | None = None
 
     @property
     def population(self) -> int:
@@ -134,9 +135,14 @@ class Strategy:
         generation. Their distance from the mean is clipped, so that they cannot blow up the step size (Hansen 2011,
         arXiv:1110.4181).
         """
+        # pycma compares the spread of costs with absolute tolerances (tolfun 1e-11, tolfunhist 1e-12): in units of the
+        # first generation's spread they mean the same for newtons and for nanonewtons
+        if self._cost_unit is None:
+            self._cost_unit = float(np.ptp(costs)) or 1.0
+        costs = [cost / self._cost_unit for cost in costs]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            self._es.tell(list(points), list(costs), check_points=list(range(known)) or None)
+            self._es.tell(list(points), costs, check_points=list(range(known)) or None)
 
     def exhausted(self) -> str | None:
         """Return why this strategy has nothing left to gain numerically; None while it has."""

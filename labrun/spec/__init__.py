@@ -24,6 +24,7 @@ from labrun.spec.loop_tables import LOOP_DEVICE, TIMING_CHANNELS, LoopShape, Loo
 from labrun.spec.plugins import resolved_settings, scene_of
 from labrun.spec.raw import named_channels
 from labrun.spec.search_tables import (
+    BRACES,
     SIMULATION,
     SUMMARIES,
     CmaEs,
@@ -51,6 +52,7 @@ from labrun.spec.trial_tables import (
     CarriageMove,
     Criterion,
     CyclesOf,
+    Follow,
     Outliers,
     ReferenceTable,
     RepeatRule,
@@ -69,15 +71,15 @@ from labrun.spec.workspace import (
 )
 
 __all__ = [
-    "BROKEN", "CYCLES", "LOOP_DEVICE", "PAST", "SIMULATION", "SUMMARIES", "TIMING_CHANNELS",
+    "BRACES", "BROKEN", "CYCLES", "LOOP_DEVICE", "PAST", "SIMULATION", "SUMMARIES", "TIMING_CHANNELS",
     "Averaging", "ByHand", "CarriageMove", "CmaEs", "Combine", "Condition", "Criterion", "CyclesOf",
-    "DamageTable", "Design", "DesignVariable", "DrawnPart", "Experiment", "FitTable", "GaitTable", "GapTable",
-    "Guard", "Interval", "Key", "Leaders", "LeadersOf", "LoadedExperiment", "LoopShape", "LoopTable",
-    "ObjectiveTable", "Outliers", "Penalty", "Range", "ReferenceTable", "RepeatRule", "RigTable",
-    "RunTable", "SceneTable", "SearchVariable", "Settle", "StopRules", "Sweep", "Tare", "Track", "TrialTable",
-    "Until", "Value", "WrittenExperiment", "apply_overrides", "condition_key", "condition_text",
-    "create_workspace", "find_beside", "find_experiment", "find_model_file", "keys_at", "list_experiments",
-    "load_experiment", "load_named", "loads_experiment", "loop_channel", "named_channels", "new_experiment", "only",
-    "resolved", "resolved_settings", "scene_of", "shipped_experiments", "summarise_workspace", "value_text",
-    "varying",
+    "DamageTable", "Design", "DesignVariable", "DrawnPart", "Experiment", "FitTable", "Follow",
+    "GaitTable", "GapTable", "Guard", "Interval", "Key", "Leaders", "LeadersOf", "LoadedExperiment",
+    "LoopShape", "LoopTable", "ObjectiveTable", "Outliers", "Penalty", "Range", "ReferenceTable",
+    "RepeatRule", "RigTable", "RunTable", "SceneTable", "SearchVariable", "Settle", "StopRules", "Sweep",
+    "Tare", "Track", "TrialTable", "Until", "Value", "WrittenExperiment", "apply_overrides",
+    "condition_key", "condition_text", "create_workspace", "find_beside", "find_experiment",
+    "find_model_file", "keys_at", "list_experiments", "load_experiment", "load_named", "loads_experiment",
+    "loop_channel", "named_channels", "new_experiment", "only", "resolved", "resolved_settings",
+    "scene_of", "shipped_experiments", "summarise_workspace", "value_text", "varying",
 ]  # fmt: skip

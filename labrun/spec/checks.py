@@ -142,7 +142,8 @@ def _check_names(
         for joint in device.joints:
             if joint in drivers:
                 yield Fault(
-                    ("rig", "devices", name), f'joint "{joint}" is driven by {drivers[joint]} already'
+                    ("rig", "devices", name),
+                    f'joint "{joint}" is driven by {drivers[joint]} already; give each joint to one device',
                 )
             drivers.setdefault(joint, name)
     joints = table(data, "gait", "joints")
@@ -195,7 +196,7 @@ def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Fau
     taken |= dict.fromkeys(table(data, "gait", "let"), "a part of let")
     for name in names:
         if name in taken:
-            yield Fault((*place, name), f"this name is taken: it is also {taken[name]}")
+            yield Fault((*place, name), f"this name is {taken[name]} already; choose another name")
 
 
 def _check_over(data: Mapping[str, Any]) -> Iterator[Fault]:
@@ -209,11 +210,11 @@ def _check_over(data: Mapping[str, Any]) -> Iterator[Fault]:
     each = table(data, kind, "each")
     for name in table(data, kind, "over"):
         if name in own or name in each:
-            text = f'"{name}" is varied already; it cannot be a setting of each, too'
+            text = f'"{name}" is varied already; remove it here, or from what is varied'
             yield Fault((kind, "over", name), text)
     for name in each:
         if name in own:
-            text = f'"{name}" is a variable already; each gives a level to a whole search'
+            text = f'"{name}" is a variable already; remove it here to search over it, or there to search at each level'
             yield Fault((kind, "each", name), text)
 
 
@@ -227,7 +228,7 @@ def _same_names(condition: Mapping[str, Any], path: KeyPath, names: list[str]) -
     meant = {nearest(name, free) for name in unknown}
     missing = [name for name in free if name not in meant]
     if missing and len(unknown) < len(free):  # else each that is missing is there under a wrong name
-        yield Fault(path, f"lacks a value for {', '.join(missing)}")
+        yield Fault(path, f"has no value for {', '.join(missing)}")
 
 
 def _check_units(data: Mapping[str, Any], names: list[str]) -> Iterator[Fault]:
@@ -246,7 +247,11 @@ def _check_units(data: Mapping[str, Any], names: list[str]) -> Iterator[Fault]:
         else:
             for (expression, meant), key in given.items():
                 if expression == name and meant != unit and isinstance(unit, str):
-                    yield Fault(path, f"{dotted(key)} takes {name} in {meant}", at_value=True)
+                    yield Fault(
+                        path,
+                        f"{dotted(key)} takes {name} in {meant}; write that unit, or remove this line",
+                        at_value=True,
+                    )
                     break
 
 
@@ -274,7 +279,7 @@ def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterat
             found = list(check_expression(expression, path, names))
             if not found and isinstance(expression, str) and not Expression.of(expression).is_comparison:
                 found.append(
-                    Fault(path, 'compares nothing; a constraint reads "a + abs(b) <= 60"', at_value=True)
+                    Fault(path, 'is no comparison; write for example "a + abs(b) <= 60"', at_value=True)
                 )
             yield from found
 

@@ -12,7 +12,7 @@ Number = float | int
 
 def _ordered(pair: list[Number]) -> list[Number]:
     if not pair[0] < pair[1]:
-        raise ValueError(f"[low, high], and {pair[0]:g} is not below {pair[1]:g}")
+        raise ValueError(f"expected [low, high]; {pair[0]:g} is not below {pair[1]:g}")
     return pair
 
 

@@ -1,12 +1,13 @@
 """The experiment file, as data. One class a table of the file; units stand in the names."""
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
 
 from labrun.spec.condition import Value
 from labrun.spec.loop_tables import Track
+from labrun.spec.raw import condition_units
 from labrun.spec.search_tables import CmaEs, Combine, Design, Leaders, RunTable, Sweep
 from labrun.spec.specimens import ByHand, DamageTable
 from labrun.spec.trial_tables import CYCLES, TrialTable
@@ -96,11 +97,15 @@ class GapTable(Table):
     rate_hz: PositiveFloat | None = None
 
 
+Kind = Literal["run", "sweep", "cmaes", "track", "design"]
+"""What an experiment does; its table has the same name."""
+
+
 class Experiment(Table):
     """A whole experiment file."""
 
     title: str
-    kind: Literal["run", "sweep", "cmaes", "track", "design"]
+    kind: Kind
     rig: RigTable
     gait: GaitTable = GaitTable(plugin=STILL)
     """Without one nothing moves but, perhaps, the carriage."""
@@ -117,7 +122,7 @@ class Experiment(Table):
     fit: FitTable | None = None
     gap: GapTable | None = None
     units: dict[str, str] = Field(default_factory=dict)
-    """Units of conditions and variables, for tables and figures."""
+    """Units of conditions and variables, for tables and figures: as the file states them, see `condition_units`."""
 
     @field_validator("objectives", mode="after")
     @classmethod
@@ -136,25 +141,34 @@ class Experiment(Table):
             return {**data, "rig": {"devices": {}}}
         return data
 
+    @model_validator(mode="before")
+    @classmethod
+    def _units_by_keys(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or not isinstance(data.get("units", {}), dict):
+            return data
+        return {**data, "units": condition_units(data)}
+
     @model_validator(mode="after")
     def _kind_has_its_table(self) -> "Experiment":
         with TableFaults() as faults:
             if getattr(self, self.kind) is None:
-                faults.add("kind", f'"{self.kind}" needs a table [{self.kind}]')
+                others = [kind for kind in get_args(Kind) if getattr(self, kind) is not None]
+                instead = f', or write kind = "{others[0]}", whose table is there' if others else ""
+                faults.add("kind", f"an experiment of this kind needs a table [{self.kind}]; add it{instead}")
             goals = [name for name, objective in self.objectives.items() if objective.goal is not None]
             if self.kind != "design" and not self.rig.devices:
-                faults.add(("rig", "devices"), "a bench has at least one device")
+                faults.add(("rig", "devices"), "a bench needs at least one device")
             if self.kind == "design" and self.rig.devices:
-                faults.add(("rig", "devices"), "a design is simulated, and has no devices: leave [rig] out")
+                faults.add(("rig", "devices"), "a design is simulated and has no devices; remove [rig]")
             if self.kind in ("cmaes", "design") and not goals:
                 faults.add("kind", 'a search needs an objective with goal = "maximise" or "minimise"')
             if self.leaders.beside and (self.kind == "design" or not goals):
-                message = "has leaders of its own only with an objective that has a goal, on a bench"
+                message = "needs an objective with a goal, and a bench: they give leaders of its own to compare with"
                 faults.add(("leaders", "beside"), message)
             for name in goals[1:]:
                 faults.add(
                     ("objectives", name, "goal"),
-                    f"only one objective can say what is best; {goals[0]} does already",
+                    f"{goals[0]} has a goal already, and only one objective can have one; remove a goal",
                 )
         return self
 

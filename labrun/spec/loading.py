@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import tomli_w
-
 from labrun import registry
 from labrun.errors import RequestError, SpecError
 from labrun.spec.checks import cross_check
@@ -31,6 +29,7 @@ from labrun.toml import (
     suggest,
     text_of,
     validate,
+    written_in_order,
 )
 
 _BARE_WORD = re.compile(r"[^\"'\[\]{}=]+")
@@ -231,7 +230,10 @@ def _load(
     origins = apply_overrides(data, overrides)
     unreadable, nameless = _embed_files(data, beside), _names_of_leaders(data, beside)
     experiment, faults = validate(Experiment, data)
-    unnamed = any(fault.path[1:2] == ("conditions",) for fault in faults) and not condition_names(data)
+    # without the table of its kind, or with conditions that cannot be read, no name of a condition is known
+    unnamed = any(
+        one.path == ("kind",) or one.path[1:2] == ("conditions",) for one in faults
+    ) and not condition_names(data)
     faults += [*unreadable, *nameless]
     if plugins and not (nameless or unnamed):  # every use of a condition's name would be a fault
         faults += cross_check(data, beside)
@@ -241,9 +243,8 @@ def _load(
 
 
 def resolved(experiment: Experiment) -> str:
-    """Return an experiment as TOML, defaults written out."""
-    tree = experiment.model_dump(mode="python", by_alias=True, exclude_none=True)
-    return tomli_w.dumps(tree)
+    """Return an experiment as TOML, defaults written out, all keys in their order: that of axes decides the trials'."""
+    return written_in_order(experiment.model_dump(mode="python", by_alias=True, exclude_none=True))
 
 
 def _expand_short_forms(data: dict[str, Any], overrides: Sequence[str]) -> None:
@@ -282,9 +283,7 @@ def load_named(
     loaded = load_experiment(find_experiment(name, workspace), overrides)
     found = loaded.experiment.kind
     if kind is not None and found != kind:
-        raise RequestError(
-            f"{loaded.name} is no {kind}: its file says kind = {found!r}", hint=f"labrun {found} {name}"
-        )
+        raise RequestError(f'{loaded.name} has kind = "{found}", not "{kind}"', hint=f"labrun {found} {name}")
     return loaded
 
 
@@ -323,8 +322,12 @@ def _names_of_leaders(data: dict[str, Any], experiment: Path | None) -> list[Fau
         theirs = set(conditions.get("names", ())) - {"gait"}
         used = _used_by_gait(data) - set(table(data, "run", "over")) - {"gait"}
         if theirs and used and not theirs & used:
-            listed = f"{', '.join(sorted(theirs))}, and the gait here takes {', '.join(sorted(used))}"
-            faults.append(Fault(path, f"their conditions have the names {listed}", at_value=True))
+            listed = f"{', '.join(sorted(theirs))}; the gait here uses {', '.join(sorted(used))}"
+            faults.append(
+                Fault(
+                    path, f"the leaders' conditions have the names {listed}; name them alike", at_value=True
+                )
+            )
     if isinstance(beside, dict):
         path = ("leaders", "beside", "leaders_of")
         faults += _name_leaders(beside, path, experiment)
@@ -332,8 +335,12 @@ def _names_of_leaders(data: dict[str, Any], experiment: Path | None) -> list[Fau
         own = {name for name in condition_names(data) if name not in shared}
         theirs = set(beside.get("names", ())) - {"gait"}
         if theirs and theirs != own - {"gait"}:
-            listed = f"{', '.join(sorted(theirs))}, and those here {', '.join(sorted(own))}"
-            faults.append(Fault(path, f"their conditions have the names {listed}", at_value=True))
+            listed = f"{', '.join(sorted(theirs))}; those here {', '.join(sorted(own))}"
+            faults.append(
+                Fault(
+                    path, f"the leaders' conditions have the names {listed}; name them alike", at_value=True
+                )
+            )
     return faults
 
 
@@ -361,7 +368,13 @@ def _name_leaders(wanted: dict[str, Any], path: KeyPath, experiment: Path) -> li
         found[name] = [one for one in condition_names(theirs) if one not in over]
     if len({tuple(sorted(names)) for names in found.values()}) > 1:
         listed = "; ".join(f"{name}: {', '.join(names)}" for name, names in found.items())
-        return [Fault(path, f"their conditions have different names ({listed})", at_value=True)]
+        return [
+            Fault(
+                path,
+                f"the conditions of these experiments have different names ({listed}); name those with the same ones",
+                at_value=True,
+            )
+        ]
     if found:
         wanted["names"] = ["gait", *next(iter(found.values()))]
     return []

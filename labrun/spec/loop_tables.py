@@ -128,7 +128,7 @@ class LoopTable(Table):
         low, high = self.range
         with TableFaults() as faults:
             if not low < high:
-                faults.add("range", f"[low, high], and {low:g} is not below {high:g}", of=("range",))
+                faults.add("range", f"expected [low, high]; {low:g} is not below {high:g}", of=("range",))
             elif self.initial is not None and not low <= self.initial <= high:
                 faults.add(
                     "initial", f"{self.initial:g} is outside {low:g} ... {high:g}", of=("range", "initial")

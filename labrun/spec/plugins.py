@@ -242,7 +242,7 @@ def _check_objective(
     yield from check_settings(loaded, objective, path, list(ObjectiveTable.model_fields))
     yield from check_channel(objective.get("channel"), (*path, "channel"), devices)
     if getattr(loaded, "needs_channel", False) and objective.get("channel") is None:
-        yield Fault(path, 'the key "channel" is missing: which channel this number is made of')
+        yield Fault(path, 'the key "channel" is missing: name the channel that this number is made of')
     for key in getattr(loaded, "channel_settings", ()):
         value = objective.get(key)
         for channel in value if isinstance(value, list) else [value]:

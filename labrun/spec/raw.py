@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from labrun.toml import ExpressionError, Fault, KeyPath, fault_of, names_in, nearest, suggest
+from labrun.toml import ExpressionError, Fault, KeyPath, fault_of, names_in, nearest, suggest, unit_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +79,34 @@ def one_or_several(loop: Mapping[str, Any], key: str) -> list[tuple[KeyPath, dic
         else [((key,), value)]
     )
     return [(path, one) for path, one in found if isinstance(one, dict)]
+
+
+def condition_units(data: Mapping[str, Any]) -> dict[str, str]:
+    """Return the units of conditions and variables that a file states: in ``[units]``, else by a key that takes one.
+
+    ``frequency_hz = "f"`` says that `f` is in Hz, and ``offset_deg = "-b"`` that `b` is in degrees. A name that keys
+    take in different units has none.
+    """
+    stated: dict[str, set[str]] = {}
+    names = {*condition_names(data), *driven_names(data)}
+    for branch in ("rig", "gait", "trial", "design"):
+        for key, value in _texts(data.get(branch), branch):
+            unit, name = unit_of(key), value.strip().lstrip("+-").strip()
+            if unit is not None and name in names:
+                stated.setdefault(name, set()).add(unit)
+    return {
+        **{name: units.pop() for name, units in stated.items() if len(units) == 1},
+        **table(data, "units"),
+    }
+
+
+def _texts(data: object, key: str) -> Iterator[tuple[str, str]]:
+    """Yield every text of a tree with the last key above it."""
+    if isinstance(data, str):
+        yield key, data
+    elif isinstance(data, Mapping):
+        for name, value in data.items():
+            yield from _texts(value, str(name))
 
 
 def asks_for_leaders(conditions: Mapping[str, Any]) -> bool:

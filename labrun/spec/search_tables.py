@@ -5,11 +5,20 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Discriminator, Field, NonNegativeFloat, PositiveFloat, PositiveInt, Tag, model_validator
+from pydantic import (
+    Discriminator,
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
 from labrun.spec.condition import Bounds, Number, Value
 from labrun.spec.raw import asks_for_leaders, check_name, table, tables
-from labrun.toml import Expression, Fault, KeyPath, Table, TableFaults
+from labrun.toml import Expression, ExpressionError, Fault, KeyPath, Table, TableFaults
 
 
 class Range(Table):
@@ -56,7 +65,7 @@ class Over(Table):
         with TableFaults() as faults:
             if self.combine != "mean" and not self.over:
                 faults.add(
-                    "combine", "there is nothing to combine: name the settings, over = { v = [0.1, 0.3] }"
+                    "combine", "nothing is there to combine; name the settings, over = { v = [0.1, 0.3] }"
                 )
             for name, values in self.over.items():
                 if len(set(values)) < len(values):
@@ -136,16 +145,17 @@ class Sweep(Over):
         with TableFaults() as faults:
             for name, axis in self.axes.items():
                 if isinstance(axis, Interval) and self.design == "grid":
-                    faults.add(("axes", name), "an axis of a grid needs a step, or is a list of values")
+                    faults.add(("axes", name), "an axis of a grid needs a step, or a list of values")
                 if not isinstance(axis, Interval) and self.design != "grid":
                     faults.add(
                         ("axes", name), f"an axis of a {self.design} design is {{ from, to }} without step"
                     )
             if self.design != "grid" and self.samples is None:
-                faults.add("design", f'"{self.design}" needs samples = (how many points)')
+                faults.add("design", f'"{self.design}" needs the number of points; add samples = 64')
             if self.design == "grid" and self.samples is not None:
                 faults.add(
-                    "samples", 'a grid counts its own points; samples goes with design = "random" or "sobol"'
+                    "samples",
+                    'a grid has as many points as its axes; remove samples, or write design = "random" or "sobol"',
                 )
         return self
 
@@ -250,20 +260,19 @@ class CmaEs(Over):
             if len(self.variables) < 2:
                 faults.add(
                     "variables",
-                    'CMA-ES searches over at least two variables; one is found more surely by kind = "sweep"',
+                    'CMA-ES needs at least two variables; search over one with kind = "sweep"',
                     of=("variables",),
                 )
             if self.parents is not None and 2 * self.parents > population:
                 faults.add(
                     "parents",
-                    f"more than half of the population of {population}: parents selects the better part of a "
-                    f"generation, at most {population // 2}",
+                    f"more than half of the population of {population}; select at most {population // 2} parents",
                     of=("parents", "population", "variables"),
                 )
             if self.reevaluate > population - 2:
                 faults.add(
                     "reevaluate",
-                    f"leaves no room for new candidates in a population of {population}: measure a few leaders again, "
+                    f"leaves no room for new candidates in a population of {population}; measure fewer leaders again, "
                     "for example 3",
                     of=("reevaluate", "population", "variables"),
                 )
@@ -296,17 +305,34 @@ class DrawnPart(Table):
     mirrored: bool = False
 
 
+BRACES = re.compile(r"\{([^{}]*)\}")
+"""An expression in a text of `WrittenExperiment`."""
+
+
 class WrittenExperiment(Table):
     """An experiment on the rig of the finished design: a file's text, with other values in one or more of its tables.
 
-    `values` are expressions in the variables of the design, by the key they stand at in the file. `model_at` is the key
-    that names a model there: `model`, or that of the design, with the parameters of the design takes its place.
+    `values` are expressions in the variables of the design, by the key they stand at in the file; an element of a list
+    is known by its place, from 0. `texts` are words with such expressions in braces. `model_at` is the key that names a
+    model there: `model`, or that of the design, with the parameters of the design takes its place.
     """
 
     template: str
     model_at: str | None = None
     model: str | None = None
     values: dict[str, Expression] = Field(default_factory=dict)
+    texts: dict[str, str] = Field(default_factory=dict)
+
+    @field_validator("texts")
+    @classmethod
+    def _has_expressions(cls, texts: dict[str, str]) -> dict[str, str]:
+        try:
+            for text in texts.values():
+                for expression in BRACES.findall(text):
+                    Expression.of(expression)
+        except ExpressionError as error:
+            raise ValueError(str(error)) from error
+        return texts
 
 
 class Design(CmaEs):
@@ -353,18 +379,24 @@ def check_design(data: Mapping[str, Any]) -> Iterator[Fault]:
             yield from check_name(told, path, joints, f'the gait has no joint "{told}"', kind="joints")
     for name in tables(design, "writes"):
         if "/" in name:
-            yield Fault(("design", "writes", name), "the name of a file in this folder, without .toml")
+            yield Fault(
+                ("design", "writes", name), "expected the name of a file in this folder, without .toml"
+            )
 
 
 def _what_only_a_bench_has(data: Mapping[str, Any]) -> Iterator[Fault]:
     for key in ("over", "each", "reevaluate"):
         if table(data, "design").get(key):
-            yield Fault(("design", key), "a design has none: its simulation is one, and repeats itself")
+            yield Fault(
+                ("design", key),
+                "a design is simulated, and its simulation repeats itself exactly; remove this key",
+            )
     for key in ("by_hand", "damage"):
         if key in data:
             yield Fault(
-                (key,), "a design is simulated: there is nothing to be done by hand, or to be damaged"
+                (key,),
+                "a design is simulated: nothing is done by hand, and nothing is damaged; remove this table",
             )
     for key in ("until", "carriage", "settle", "tare", "reference"):
         if key in table(data, "trial"):
-            yield Fault(("trial", key), "a design is simulated: leave it out")
+            yield Fault(("trial", key), "a design is simulated and has no such key; remove it")

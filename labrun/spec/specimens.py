@@ -46,23 +46,21 @@ def check_by_hand(data: Mapping[str, Any]) -> Iterator[Fault]:
     for number, name in enumerate(names):
         path: KeyPath = ("by_hand", "names", number)
         if name in names[:number]:
-            yield Fault(path, f'"{name}" stands there twice', at_value=True)
+            yield Fault(path, f'"{name}" is listed twice; remove one', at_value=True)
     ask = written.get("ask")
     for place in _PLACE.findall(ask) if isinstance(ask, str) else ():
         if place not in names:
-            text = (
-                f"{{{place}}} stands for nothing that is set by hand; {suggest(place, names, kind='names')}"
-            )
+            text = f"{{{place}}} is none of the names that are set by hand; {suggest(place, names, kind='names')}"
             yield Fault(("by_hand", "ask"), text, at_value=True)
     each = table(data, "cmaes", "each")
     if data.get("kind") == "cmaes" and not all(name in each for name in names):
         yield Fault(
             ("by_hand",),
-            "a search changes its variables with every candidate; by_hand goes with run and sweep, "
-            "and in a search with what stands in cmaes.each",
+            "a search changes its variables with every candidate, too often for a person; in a search, by_hand can "
+            "name what cmaes.each has",
         )
     if "reference" in table(data, "trial"):
-        text = "a reference every so many trials would change what is mounted; leave it out, or by_hand"
+        text = "a reference every so many trials would change what is mounted; remove it, or by_hand"
         yield Fault(("trial", "reference"), text)
     yield from _check_twice(data, names)
 
@@ -111,7 +109,7 @@ class DamageTable(Table):
     def _says_something(self) -> "DamageTable":
         with TableFaults() as faults:
             if self.when is None and self.broken is None:
-                faults.add(None, "says nothing: give when, broken, or both", of=("when", "broken"))
+                faults.add(None, "needs when, broken, or both", of=("when", "broken"))
         return self
 
 
@@ -130,7 +128,7 @@ def check_damage(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Fau
         except ExpressionError:
             continue
         if not compares:
-            yield Fault(path, 'compares nothing; it reads "reach < 0"', at_value=True)
+            yield Fault(path, 'is no comparison; write for example "reach < 0"', at_value=True)
     if data.get("kind") == "cmaes":
-        text = "a search cannot leave what it tries to the end; damage goes with run, sweep and track"
+        text = "a search cannot put damaging conditions last; use damage with run, sweep or track"
         yield Fault(("damage",), text)

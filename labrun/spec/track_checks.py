@@ -39,7 +39,8 @@ def check_track(
         return
     if LOOP_DEVICE in devices:
         yield Fault(
-            ("rig", "devices", LOOP_DEVICE), "this name is taken: the loops record under it; choose another"
+            ("rig", "devices", LOOP_DEVICE),
+            "this name is reserved for what the loops record; choose another name",
         )
     yield from _check_gait(data)
     drivers: dict[str, str] = {}
@@ -47,7 +48,8 @@ def check_track(
         path: KeyPath = ("track", "loops", name)
         if not name.replace("-", "_").isidentifier():
             yield Fault(
-                path, "a loop's name is made of letters, digits, - and _: its channels are named after it"
+                path,
+                "invalid name of a loop: use letters, digits, '-' and '_'; its channels are named after it",
             )
         for drives in drives_of(loop):
             yield from _check_drive(data, name, drives, drivers, conditions)
@@ -69,9 +71,7 @@ def _check_gait(data: Mapping[str, Any]) -> Iterator[Fault]:
     gait, _ = load_plugin(_GAITS, plugin, ())
     if gait is not None and not hasattr(gait, "steering"):
         able = ", ".join(sorted(_steerable()))
-        yield Fault(
-            ("gait", "plugin"), f"this gait cannot be steered by a loop; these can: {able}", at_value=True
-        )
+        yield Fault(("gait", "plugin"), f"a loop cannot steer this gait; it can steer {able}", at_value=True)
 
 
 def _steerable() -> Iterator[str]:
@@ -88,17 +88,21 @@ def _check_drive(
 ) -> Iterator[Fault]:
     path: KeyPath = ("track", "loops", name, "drives")
     if drives in drivers:
-        yield Fault(path, f"the loop {drivers[drives]} drives this already; two loops cannot", at_value=True)
+        yield Fault(
+            path, f"the loop {drivers[drives]} drives this already; let one loop drive it", at_value=True
+        )
     drivers.setdefault(drives, name)
     gait = table(data, "gait")
     let = table(gait, "let")
     if drives in conditions:
         yield Fault(
-            path, "this is a value of the conditions, and a loop cannot set it as well", at_value=True
+            path,
+            "the conditions set this value already; remove it there, or drive another name",
+            at_value=True,
         )
     elif drives in let:
         yield Fault(
-            path, "this is a part of let, which the gait computes; drive a name it uses", at_value=True
+            path, "the gait computes this name in let; drive a name that it uses there", at_value=True
         )
     used: dict[KeyPath, frozenset[str]] = {}
     for key_path, expression in places(data, GAIT_EXPRESSIONS):
@@ -113,7 +117,7 @@ def _check_drive(
         if drives in needed and key_path[-1] in getattr(plugin, "fixed_keys", ()):
             yield Fault(
                 key_path,
-                f"depends on {drives}, which the loop {name} drives: a loop cannot set this key",
+                f"depends on {drives}, which the loop {name} drives; a loop cannot change this key",
                 at_value=True,
             )
 
@@ -201,7 +205,7 @@ def _check_named_controllers(
             own = table(loop, "controllers")
             if len(own) > 1 and named not in own:
                 what = (
-                    "says no controller" if named is None else f'the loop {name} has no controller "{named}"'
+                    "names no controller" if named is None else f'the loop {name} has no controller "{named}"'
                 )
                 choice = " or ".join(f'"{item}"' for item in own)
                 yield Fault(path, f"{what}; the loop {name} can take {choice}")

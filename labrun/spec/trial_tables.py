@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
@@ -28,12 +28,22 @@ _COMPUTE: dict[str, Callable[[Sequence[float]], Any]] = {
 class Until(Table):
     """A trial that goes on until its numbers say so, judged once a cycle, for `max_cycles` at most.
 
-    Every cycle's objectives are kept, and the samples of one cycle in `keep_every`.
+    Every cycle's objectives are kept, and the samples of one cycle in `keep_every`. With `judge_every` only one cycle
+    in so many is measured, once the first `keep_every` are over; those between are moved, and count as alike.
     """
 
     when: str
     max_cycles: PositiveInt
     keep_every: PositiveInt = 100
+    judge_every: PositiveInt = 1
+
+    @model_validator(mode="after")
+    def _keeps_what_it_judges(self) -> Self:
+        with TableFaults() as faults:
+            if self.keep_every % self.judge_every:
+                said = f"{self.judge_every} does not divide keep_every = {self.keep_every}: kept is what is measured"
+                faults.add("judge_every", said, of=("judge_every", "keep_every"))
+        return self
 
 
 class RepeatRule(Table):
@@ -50,7 +60,7 @@ class RepeatRule(Table):
     @classmethod
     def _table_or_number(cls, data: Any) -> Any:
         if not isinstance(data, Mapping | RepeatRule):
-            raise ValueError("a whole number, or a table { min = 3, max = 10 }")
+            raise ValueError("expected a whole number, or a table { min = 3, max = 10 }")
         return data
 
     @field_validator("standard_error", mode="before")
@@ -58,7 +68,7 @@ class RepeatRule(Table):
     def _bound_of_each(cls, data: Any) -> Any:
         if not isinstance(data, Mapping):
             bound = f"{data:g}" if isinstance(data, float | int) else "..."
-            raise ValueError(f"a table with a bound for each objective by its name: {{ thrust = {bound} }}")
+            raise ValueError(f"expected a table with a bound for each objective: {{ thrust = {bound} }}")
         return data
 
     @model_validator(mode="after")
@@ -90,6 +100,18 @@ class Tare(Table):
 
     duration_s: PositiveFloat = 1.0
     devices: list[str] | None = None
+
+
+class Follow(Table):
+    """How closely a measured joint follows its command.
+
+    A joint that its own actuator measures fails the trial when it is more than `within_deg` from its command for more
+    than `for_s`, added up over any four times `for_s`. The command of any moment of the last `lag_s` counts.
+    """
+
+    within_deg: PositiveFloat = 20.0
+    for_s: PositiveFloat = 0.5
+    lag_s: Annotated[float, Field(ge=0)] = 0.1
 
 
 class Outliers(Table):
@@ -150,6 +172,7 @@ class TrialTable(Table):
     repeats: RepeatRule = RepeatRule(min=1, max=1)
     settle: Settle | None = None
     tare: Tare | None = None
+    follow: Follow = Follow()
     outliers: Outliers = Outliers()
     reference: ReferenceTable | None = None
     carriage: CarriageMove | None = None
@@ -167,7 +190,7 @@ class TrialTable(Table):
     def _beats_or_joint(cls, data: Any) -> Any:
         if data is None or data == "beats" or isinstance(data, Mapping | CyclesOf):
             return data
-        raise ValueError('"beats", or a joint whose whole cycles count, { cycles_of = "tail" }')
+        raise ValueError('expected "beats", or a joint whose whole cycles count, { cycles_of = "tail" }')
 
     @model_validator(mode="before")
     @classmethod
@@ -186,21 +209,24 @@ class TrialTable(Table):
             for name in given[1:]:
                 faults.add(
                     name,
-                    f"the trial has two lengths, with {given[0]}: give cycles, duration_s or until",
+                    f"the trial has another length already, {given[0]}; give one of cycles, duration_s and until",
                     of=length,
                 )
             if self.until is not None and self.discard_cycles:
-                faults.add("discard_cycles", "with until every cycle counts: until.when can leave some out")
+                faults.add(
+                    "discard_cycles",
+                    "a trial with until counts every cycle; leave cycles out in until.when, or remove this key",
+                )
             if isinstance(self.cycles, int) and self.discard_cycles >= self.cycles:
                 faults.add(
                     "discard_cycles",
-                    f"{self.discard_cycles} leaves nothing of {self.cycles} cycles",
+                    f"no cycle is left: the trial has {self.cycles}; discard fewer, or make it longer",
                     of=("cycles", "discard_cycles"),
                 )
             if self.average is not None and self.duration_s is None:
                 faults.add(
                     "average",
-                    "is for joints that share no cycle, and so goes with duration_s; cycles count as they are",
+                    "averages over joints that share no cycle and needs duration_s; remove it where whole cycles count",
                     of=("average", "cycles"),
                 )
             for name in ("cycles", "duration_s"):
@@ -260,9 +286,13 @@ class Criterion:
             function, objective, end, count = match.groups()
             if objective is None and len(named) != 1:
                 example = f"{function}({(named or ['NAME'])[0]}, {end} {count})"
-                raise ExpressionError(text, f"{match[0]} of which objective? write {example}", match.start())
+                raise ExpressionError(
+                    text, f"{match[0]} does not name its objective; write {example}", match.start()
+                )
             if int(count) == 0:
-                raise ExpressionError(text, f"{match[0]} is of no cycle", match.start())
+                raise ExpressionError(
+                    text, f"{match[0]} covers no cycle; write a number of at least 1", match.start()
+                )
             one = _Summary(function, objective or named[0], end, int(count))
             name = f"{function}_{end}_{count}_of_{one.objective}"
             found[name] = one
@@ -270,12 +300,14 @@ class Criterion:
 
         plain = _SUMMARY.sub(taken, text)
         if half := re.search(r"\bmedian\b|\bmean\b|\b(first|last)\s+\d", plain):
-            hint = f"{text[half.start() :][:20]!r} is no summary of cycles; one reads median(first 100)"
+            hint = (
+                f"{text[half.start() :][:20]!r} is no summary of cycles; write for example median(first 100)"
+            )
             raise ExpressionError(text, hint, half.start())
         expression = Expression.of(plain)
         if not expression.is_comparison:
             raise ExpressionError(
-                text, 'compares nothing; a condition reads "peak < 0.2 * median(first 100)"'
+                text, 'is no comparison; write for example "peak < 0.2 * median(first 100)"'
             )
         return cls(text, expression, found)
 
@@ -319,22 +351,31 @@ def check_until(data: Mapping[str, Any]) -> Iterator[Fault]:
                 max((one.count for one in criterion.summaries.values()), default=0),
             )
             if isinstance(most, int) and 0 < most < first:
-                complaint = f"nothing would ever be judged: the condition wants {first} cycles"
+                complaint = (
+                    f"trial.until.when needs {first} cycles and would never be judged; allow at least as many"
+                )
                 yield Fault(("trial", "until", "max_cycles"), complaint, at_value=True)
     if CYCLE in objectives:
-        yield Fault(("objectives", CYCLE), "the number of the cycle has this name; choose another one")
+        yield Fault(
+            ("objectives", CYCLE), "this name is reserved for the number of the cycle; choose another name"
+        )
     own = table(data, "objectives", CYCLES)
     if own and own.get("plugin") != CYCLES:
-        yield Fault(("objectives", CYCLES), "the number of cycles has this name; choose another one")
+        yield Fault(
+            ("objectives", CYCLES), "this name is reserved for the number of cycles; choose another name"
+        )
     if CYCLES in table(data, "rig", "devices"):
         yield Fault(
             ("rig", "devices", CYCLES),
-            "the numbers of the cycles are stored by this name; choose another one",
+            "this name is reserved for the numbers of the cycles; choose another name",
         )
     if "carriage" in trial:
-        yield Fault(("trial", "carriage"), "its travel ends; a trial with until stays where it is")
+        yield Fault(
+            ("trial", "carriage"),
+            "a trial with until has no end that a travel could have; remove this table, or trial.until",
+        )
     if trial.get("on_fault", "stop") != "stop":
-        text = "with until a fault ends the run, so that labrun resume goes on with the same cycles"
+        text = 'a trial with until needs "stop", so that labrun resume goes on with the same cycles'
         yield Fault(("trial", "on_fault"), text, at_value=True)
     if data.get("kind") == "track":
-        yield Fault(("trial", "until"), "a closed loop runs for a number of cycles, or a duration")
+        yield Fault(("trial", "until"), "a closed loop needs cycles or duration_s in place of until")

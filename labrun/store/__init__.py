@@ -1,6 +1,6 @@
 """Runs on disk: the run folder, a trial's file, ``run.h5``, recordings made elsewhere, and what follows a run."""
 
-from labrun.store.disk import lacking_room, lock_ports, replace_durably, require_writable, saving
+from labrun.store.disk import in_bytes, lacking_room, lock_ports, replace_durably, require_writable, saving
 from labrun.store.export import export_run, run_dataset, trial_dataset, trials_frame
 from labrun.store.folder import RunFolder
 from labrun.store.journal import Journal, collect, remarks_of
@@ -47,7 +47,7 @@ __all__ = [
     "RecordedTrial", "Recording", "Role", "Run", "RunFolder", "RunWatch", "SettleSummary", "SignalInfo",
     "Status", "StreamReport", "Trace", "TrialOutcome", "TrialWriter", "all_runs", "check_columns",
     "check_names", "collect", "dated", "export_run", "find_data", "find_run", "find_unfinished", "import_recording",
-    "imported_channels", "imported_source", "is_finished", "is_recording", "json_ready", "known_units",
+    "imported_channels", "imported_source", "in_bytes", "is_finished", "is_recording", "json_ready", "known_units",
     "lacking_room", "lock_ports", "mean_truncation", "open_run", "open_target", "read_recording", "read_trace",
     "recording_name", "remarks_of", "replace_durably", "require_writable", "run_dataset", "saving", "settle_curve",
     "stream_report", "tare_of", "trial_dataset", "trials_frame", "undated",

@@ -55,11 +55,17 @@ def _read_text(path: Path, listed_at: str) -> tuple[str | None, str]:
             f"; did you mean {near}?" if near else ""
         )
     data = path.read_bytes()
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:64]:
+        return None, f"{path}:1: text in UTF-16, or no text; expected UTF-8"
     try:
         return data.decode("utf-8-sig"), ""
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
-        return None, f"{path}:{line}: not text: byte 0x{data[error.start]:02x} is no UTF-8"
+        byte = data[error.start]
+        return (
+            None,
+            f"{path}:{line}: not text in UTF-8: byte 0x{byte:02x}; if it is Windows-1252, save it as UTF-8",
+        )
 
 
 def _header_faults(path: Path, header: Sequence[str], wanted: Sequence[str]) -> list[str]:

@@ -16,9 +16,10 @@ from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from labrun.errors import RequestError, RigBusyError, StoreError
+from labrun.errors import RecordingError, RequestError, RigBusyError, StoreError
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_LOCKED = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EDEADLK}
 _METADATA = 1 << 16
 """Bytes that are enough for what HDF5 writes beside the samples of a trial."""
 _ASKED_FOR = 1 << 18
@@ -149,6 +150,45 @@ def saving(what: str, where: Path, saved: str = "what was stored before is untou
             free = "an unknown amount"
         message = f"{what} could not be written to {where}: {cause}; {free} free on this disk; {saved}"
         raise StoreError(message, hint=hint) from error
+
+
+class InaccessibleError(RecordingError):
+    """A file that is there cannot be opened now. Nothing says that it is damaged."""
+
+
+def inaccessible(path: Path, error: BaseException) -> InaccessibleError | None:
+    """Return what keeps a file from being opened; None where `error` is about its content."""
+    if not isinstance(error, OSError) or error.errno is None:
+        return None
+    if error.errno in _LOCKED:
+        return InaccessibleError(
+            f"{path} is open in another program, which has locked it",
+            hint="close it there (a notebook, MATLAB, an HDF5 viewer), and repeat the command; the file is not damaged",
+        )
+    hints = {
+        errno.EACCES: f"see who may read it: ls -l {path}",
+        errno.EPERM: f"see who may read it: ls -l {path}",
+        errno.EMFILE: "close other files, or raise the limit: ulimit -n",
+        errno.ENOENT: "see whether it was moved, or whether its disk is mounted",
+        errno.EIO: "the disk or the network did not deliver it: look at the system's log (dmesg)",
+        errno.ESTALE: "its network folder was exported anew: mount it again",
+    }
+    return InaccessibleError(
+        f"{path} cannot be opened: {os.strerror(error.errno)}",
+        hint=hints.get(error.errno, "nothing says that the file is damaged"),
+    )
+
+
+@contextmanager
+def opening(path: Path) -> Iterator[None]:
+    """Turn an OSError of the system into an `InaccessibleError` that says what it is."""
+    try:
+        yield
+    except OSError as error:
+        refusal = inaccessible(path, error)
+        if refusal is None:
+            raise
+        raise refusal from error
 
 
 @contextmanager

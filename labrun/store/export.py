@@ -18,7 +18,8 @@ from labrun.store.disk import fsync_file, saving
 from labrun.store.packed_file import SAMPLE, TRIAL_INDEX
 from labrun.store.reading import Run
 from labrun.store.recording import is_recording
-from labrun.store.trial import TrialOutcome, variables
+from labrun.store.trial import TrialOutcome, Variable, variables
+from labrun.toml import unit_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -176,7 +177,12 @@ SUFFIXES = {"csv": ".csv", "netcdf": ".nc"}
 
 
 def export_run(
-    run: Run, to: str, output: Path | None = None, *, outcomes: Sequence[TrialOutcome] | None = None
+    run: Run,
+    to: str,
+    output: Path | None = None,
+    *,
+    outcomes: Sequence[TrialOutcome] | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Path:
     """Write a run in another format.
 
@@ -189,6 +195,8 @@ def export_run(
         which is left as it is, ``<name>.csv`` in the current directory.
     outcomes
         Rows of the CSV in place of the run's own, for one that has columns more.
+    units
+        Of those columns, by name.
 
     Raises
     ------
@@ -211,7 +219,7 @@ def export_run(
             hint="name another --output",
         )
     if to == "csv":
-        to_csv(run, target, outcomes)
+        to_csv(run, target, outcomes, units)
     else:
         to_netcdf(run, target)
     return target
@@ -224,8 +232,15 @@ def _beside(run: Run, suffix: str) -> Path:
     return folder / f"{run.name}-{run.identifier}{suffix}"
 
 
-def to_csv(run: Run, output: Path, outcomes: Sequence[TrialOutcome] | None = None) -> None:
+def to_csv(
+    run: Run,
+    output: Path,
+    outcomes: Sequence[TrialOutcome] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> None:
     """Write one row a trial: index, conditions, repeat, status, objectives; then role, reason and times.
+
+    A heading carries the unit in brackets, ``thrust (N)``, unless its name ends in it, ``duration_s``.
 
     Numbers are written so that they come back bit for bit; an empty cell is a number that there is not.
 
@@ -234,16 +249,25 @@ def to_csv(run: Run, output: Path, outcomes: Sequence[TrialOutcome] | None = Non
     StoreError
         The file cannot be written.
     """
-    columns = trial.variables(run.outcomes if outcomes is None else outcomes, {})
+    columns = trial.variables(
+        run.outcomes if outcomes is None else outcomes, {**run.units(), **(units or {})}
+    )
     with saving(output.name, output.parent, "the run itself is untouched"):
         output.parent.mkdir(parents=True, exist_ok=True)
         with output.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow([column.name for column in columns])
+            writer.writerow([_heading(column) for column in columns])
             for row in zip(*(column.values.tolist() for column in columns), strict=True):
                 writer.writerow(
                     ["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row]
                 )
+
+
+def _heading(column: Variable) -> str:
+    """Return ``f (Hz)``; the name alone where it has no unit, or its ending says it."""
+    if column.unit in ("", "1") or unit_of(column.name) == column.unit:
+        return column.name
+    return f"{column.name} ({column.unit})"
 
 
 def to_netcdf(run: Run, output: Path) -> None:

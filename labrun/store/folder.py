@@ -12,7 +12,15 @@ from typing import Any
 from labrun.errors import RecordingError, RigBusyError, StoreError
 from labrun.signals import LongSignals
 from labrun.store import packed_file
-from labrun.store.disk import FileLock, fsync_directory, fsync_file, replace_durably, saving
+from labrun.store.disk import (
+    FileLock,
+    InaccessibleError,
+    fsync_directory,
+    fsync_file,
+    opening,
+    replace_durably,
+    saving,
+)
 from labrun.store.journal import Journal
 from labrun.store.locate import JOURNAL, PACKED, PROVENANCE, SPEC, TRIALS
 from labrun.store.packed_file import FORMAT, PackedTrials, RunTexts, older
@@ -146,7 +154,8 @@ class RunFolder:
     @property
     def spec_toml(self) -> str:
         """The resolved experiment file."""
-        return (self.path / SPEC).read_text()
+        with opening(self.path / SPEC):
+            return (self.path / SPEC).read_text()
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -159,8 +168,11 @@ class RunFolder:
 
     def _provenance_json(self) -> str:
         try:
-            return (self.path / PROVENANCE).read_text()
-        except FileNotFoundError as error:
+            with opening(self.path / PROVENANCE):
+                return (self.path / PROVENANCE).read_text()
+        except InaccessibleError as error:
+            if (self.path / PROVENANCE).exists():
+                raise
             raise RecordingError(
                 f"{self.path} has no {PROVENANCE}, which tells how the run was made", hint=_RESTORE
             ) from error
@@ -347,6 +359,8 @@ class RunFolder:
         for index, path in trial_files(self.path / TRIALS).items():
             try:
                 found[index] = check(path, described.get(index))
+            except InaccessibleError:
+                raise
             except RecordingError as error:
                 self._set_aside(path, error, repair=repair)
                 described.pop(index, None)

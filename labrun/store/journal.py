@@ -15,7 +15,7 @@ from typing import Any
 
 from labrun.devices import Identity
 from labrun.errors import RecordingError
-from labrun.store.disk import saving, write_all
+from labrun.store.disk import opening, saving, write_all
 from labrun.store.trial import json_ready
 
 
@@ -110,10 +110,10 @@ class Journal:
                 os.fsync(file.fileno())
 
     def _content(self) -> bytes:
-        try:
-            return self.path.read_bytes()
-        except FileNotFoundError:
+        if not self.path.exists():
             return b""
+        with opening(self.path):
+            return self.path.read_bytes()
 
     def _whole(self, content: bytes) -> int:
         """Return the length without a torn last line, and note what is torn."""

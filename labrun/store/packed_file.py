@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
 from labrun.signals import MEMORY_ROWS, TIMES, LongSignals, Signals
-from labrun.store.disk import flush_errors, require_room
+from labrun.store.disk import flush_errors, inaccessible, require_room
 from labrun.store.trial import AXIS, TrialOutcome, Variable, json_ready, known_units, variables
 from labrun.store.trial_file import BESIDE, RECORD
 
@@ -460,7 +460,7 @@ def _opened(path: Path, *, locked: bool = True) -> tuple[h5py.File, RunTexts, st
     except RecordingError:
         raise
     except Exception as error:  # a damaged or foreign file fails anywhere in HDF5, in many ways
-        raise unreadable(path, error) from error
+        raise inaccessible(path, error) or unreadable(path, error) from error
 
 
 def older(path: Path) -> RecordingError:

@@ -21,7 +21,16 @@ from labrun.arrays import FloatArray
 from labrun.devices import Channel, Samples, Trajectory
 from labrun.errors import RecordingError, StoreError
 from labrun.signals import MEMORY_ROWS, TIMES, LongSignals, Signals, joined
-from labrun.store.disk import flush_errors, fsync_directory, fsync_file, require_room, saving, write_all
+from labrun.store.disk import (
+    flush_errors,
+    fsync_directory,
+    fsync_file,
+    inaccessible,
+    opening,
+    require_room,
+    saving,
+    write_all,
+)
 from labrun.store.timing import ClockMap
 from labrun.store.trial import AXIS, HEAD, MIDDLE, SETTLE, TAIL, TrialOutcome, json_ready
 
@@ -206,8 +215,14 @@ def check(path: Path, described: Mapping[str, Any] | None) -> TrialOutcome:
     """Read a trial's outcome after making sure that its file is whole.
 
     `described`: the journal's ``trial`` event of this file (size and digest); None where that line was lost: then every
-    dataset is read instead. Raises RecordingError: the file is cut short or altered; says how.
+    dataset is read instead. Raises RecordingError: the file is cut short or altered; says how. InaccessibleError: it
+    cannot be opened now.
     """
+    with opening(path):
+        return _checked(path, described)
+
+
+def _checked(path: Path, described: Mapping[str, Any] | None) -> TrialOutcome:
     size = path.stat().st_size
     if described is not None and described.get("bytes", size) != size:
         raise RecordingError(f"{path} has {size} bytes of the {described['bytes']} that were written")
@@ -221,7 +236,7 @@ def check(path: Path, described: Mapping[str, Any] | None) -> TrialOutcome:
                 for table in file.tables().values():
                     joined(table.pieces())
     except Exception as error:  # a damaged file fails anywhere in HDF5, in many ways
-        raise RecordingError(f"{path} cannot be read: {error}") from error
+        raise inaccessible(path, error) or RecordingError(f"{path} cannot be read: {error}") from error
     if outcome.index != int(path.stem):
         raise RecordingError(f"{path} holds trial {outcome.index}")
     return outcome

@@ -158,6 +158,11 @@ def unknown_key(path: KeyPath, value: object, known: Sequence[str]) -> Fault:
     write = f"{twin} = {converted:g}" if converted is not None else twin
     if suffix is None:
         return Fault(path, f"the unit is missing: {stem} is given in {unit_of(twin)}; write {twin}")
+    if UNITS[suffix].label == unit_of(twin):
+        known_suffix = split_unit(twin)[1]
+        return Fault(
+            path, f"unknown key; the suffix of {UNITS[suffix].label} is _{known_suffix}; write {write}"
+        )
     return Fault(path, f"wrong unit {UNITS[suffix].label}: {stem} is given in {unit_of(twin)}; write {write}")
 
 
@@ -209,8 +214,6 @@ def _expectation(error: ErrorDetails, path: KeyPath) -> str:
         of_tables = kind == "list_type" and isinstance(error["input"], Mapping)
         expected = "a list of tables [{ ... }, ...]" if of_tables else _EXPECTED[kind]
         return expected + (f" ({unit})" if unit and kind in _NUMBERS else "")
-    if kind == "value_error":  # a plugin's own validator, in its own words
-        return error["msg"].removeprefix("Value error, ")
     return f"{error['msg'][:1].lower()}{error['msg'][1:]}, not {shown(error['input'])}"
 
 
@@ -244,6 +247,9 @@ class _Repair:
             elif error["type"] == "expression":
                 self._removals.add(path)
                 found.append(Fault(path, error["msg"], at_value=True))
+            elif error["type"] == "value_error":  # a validator's own sentence
+                self._removals.add(path)
+                found.append(Fault(path, error["msg"].removeprefix("Value error, "), at_value=True))
             elif error["type"] != "missing":
                 expected.setdefault(path, []).append(_expectation(error, path))
         found += self._missing(errors)

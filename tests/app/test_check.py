@@ -48,3 +48,65 @@ def test_a_joint_that_the_simulated_bench_lacks_is_told_before_a_dry_run(arm):
 def test_a_bench_with_all_joints_passes_the_check_of_a_dry_run(arm):
     arm.write_text(FILE.replace("JOINT", "shoulder"))
     assert check(arm, dry_run=True).trials == 1
+
+
+TANK = """
+title = "Thrust of a tail"
+kind = "run"
+[rig]
+scene = "caudal-tank"
+[rig.devices.tail]
+plugin = "arduino-servo"
+port = "/dev/ttyACM0"
+[rig.devices.wrench]
+plugin = "robotiq-ft300"
+port = "/dev/ttyUSB0"
+[gait]
+plugin = "sine"
+joints.tail = { amplitude_deg = "a", frequency_hz = 1 }
+[trial]
+cycles = 3
+TARE
+[objectives.thrust]
+plugin = "cycle-mean"
+channel = "wrench.force_x"
+[run]
+conditions = [{ a = 5 }]
+"""
+
+
+def notes_of(folder, text):
+    (folder / "tank.toml").write_text(text)
+    return [note for note in check(folder / "tank.toml").notes if "zero is never taken" in note]
+
+
+def test_an_objective_of_a_force_that_is_never_tared_is_warned_of(tmp_path):
+    (note,) = notes_of(tmp_path, TANK.replace("TARE", ""))
+    assert note.startswith("objective thrust reads wrench.force_x, whose zero is never taken")
+    assert "[trial]" in note
+
+
+@pytest.mark.parametrize(
+    ("found", "changed"),
+    [
+        ("TARE", "tare = { duration_s = 1 }"),
+        ("TARE", 'tare = { duration_s = 1, devices = ["wrench"] }'),
+        ('"cycle-mean"', '"amplitude"'),
+        ('"cycle-mean"', '"extremes"\nwhich = "range"'),
+    ],
+)
+def test_a_tare_or_an_objective_that_no_offset_changes_needs_no_warning(tmp_path, found, changed):
+    assert notes_of(tmp_path, TANK.replace(found, changed).replace("TARE", "")) == []
+
+
+def test_both_channels_of_a_direction_need_a_zero(tmp_path):
+    direction = '"direction"\nside_channel = "wrench.force_y"'
+    notes = notes_of(tmp_path, TANK.replace("TARE", "").replace('"cycle-mean"', direction))
+    assert ["force_x" in note for note in notes] == [True, False]
+
+
+def test_a_bias_or_a_calibration_that_states_the_zero_needs_no_tare(tmp_path):
+    analogue = TANK.replace('"robotiq-ft300"\nport = "/dev/ttyUSB0"', '"ati-daq"\nBIAS').replace("TARE", "")
+    keys = 'calibration_file = "FT1.cal"\n'
+    assert len(notes_of(tmp_path, analogue.replace("BIAS", keys))) == 1
+    assert notes_of(tmp_path, analogue.replace("BIAS", f"{keys}bias_v = [0.1, 0, 0, 0, 0, 0]")) == []

@@ -5,9 +5,9 @@ import pytest
 
 from labrun.app.check import is_meant_as_recording
 from labrun.app.check_recording import check_recording
+from labrun.app.fit import fit
 from labrun.errors import RecordingError, RequestError
 
-TIME_S = np.arange(0, 1, 0.05)
 SWING = """
 name = "swing"
 states = ["angle", "rate"]
@@ -24,12 +24,13 @@ rate = 0.0
 """
 
 
-def swing(folder, *, scale=1.0, model=SWING, head="", release="release_rad"):
+def swing(folder, *, scale=1.0, model=SWING, head="", release="release_rad", samples=20):
     folder.mkdir()
+    times_s = 0.05 * np.arange(samples)
     toml = [head, "[channels.angle]", 'kind = "output"', 'unit = "rad"']
     for trial, start in enumerate((0.2, 0.2, 0.4)):
-        angle = scale * start * np.exp(-0.25 * TIME_S) * np.cos(3 * TIME_S)
-        rows = [f"{time:.3f},{value:.6f}" for time, value in zip(TIME_S, angle, strict=True)]
+        angle = scale * start * np.exp(-0.25 * times_s) * np.cos(3 * times_s)
+        rows = [f"{time:.3f},{value:.6f}" for time, value in zip(times_s, angle, strict=True)]
         (folder / f"{trial}.csv").write_text("\n".join(["time_s,angle", *rows]) + "\n")
         toml += ["[[trials]]", f'file = "{trial}.csv"', f"condition = {{ {release} = {start} }}"]
     (folder / "recording.toml").write_text("\n".join(toml) + "\n")
@@ -88,3 +89,81 @@ def test_a_folder_or_its_table_is_meant_as_a_recording_and_the_name_of_an_experi
     assert is_meant_as_recording("table-3-2")
     assert not is_meant_as_recording("hinge")
     assert not is_meant_as_recording("nothing-of-this-name")
+
+
+def with_time_jump(folder, trial, jump_s=2.0):
+    """Let a trial's clock jump after its 8th sample."""
+    lines = (folder / f"{trial}.csv").read_text().splitlines()
+    rows = [line.split(",") for line in lines[1:]]
+    moved = [f"{float(t) + jump_s * (index >= 8):.3f},{value}" for index, (t, value) in enumerate(rows)]
+    (folder / f"{trial}.csv").write_text("\n".join([lines[0], *moved]) + "\n")
+    return folder
+
+
+def test_a_fit_leaves_out_the_trial_in_which_time_jumps_and_says_what_the_check_says(tmp_path):
+    folder = with_time_jump(swing(tmp_path / "arm", samples=60), 1)
+    checked = check_recording(folder)
+    fitted = fit(folder, results=tmp_path)
+    assert any("1.csv:10 (2.05 s)" in one for one in checked.remarks)
+    assert fitted.warnings[: len(checked.remarks)] == checked.remarks
+    assert fitted.parameters["damping"].value == pytest.approx(0.5, abs=0.1)
+    assert (fitted.data.trials, fitted.data.left_out) == (2, 1)
+    assert not any("controller" in one for one in fitted.warnings)
+
+
+def test_a_fit_of_signals_leaves_out_the_trial_in_which_time_jumps(tmp_path):
+    folder = with_time_jump(swing(tmp_path / "arm", samples=60), 1)
+    settings = {
+        "inputs": {"x": "angle"},
+        "outputs": {"y": "angle"},
+        "baskets": {"a": ["x"]},
+        "average": "none",
+        "block_s": 0.5,
+    }
+    fitted = fit(folder, model="least-squares", settings=settings, results=tmp_path)
+    assert (fitted.data.trials, fitted.data.left_out) == (2, 1)
+    assert any("time jumps there: trial 1" in one for one in fitted.warnings)
+
+
+def test_a_fit_says_what_the_check_doubts(tmp_path):
+    folder = swing(tmp_path / "arm", scale=180 / np.pi)
+    fitted = fit(folder, results=tmp_path)
+    assert "angle is said to be in rad and reaches 22.92: is it in degrees?" in fitted.warnings
+
+
+def test_a_recording_whose_time_jumps_in_every_trial_is_refused_by_check_and_fit_alike(tmp_path):
+    folder = swing(tmp_path / "arm", samples=60)
+    for trial in range(3):
+        with_time_jump(folder, trial)
+    for use in (check_recording, fit):
+        with pytest.raises(RecordingError, match="time jumps in every trial"):
+            use(folder)
+
+
+def test_an_angle_whose_counter_wrapped_is_told_with_its_line(tmp_path):
+    folder = swing(tmp_path / "arm")
+    rows = (folder / "1.csv").read_text().splitlines()
+    rows[9:] = [f"{row.split(',')[0]},{float(row.split(',')[1]) - 2 * np.pi:.6f}" for row in rows[9:]]
+    (folder / "1.csv").write_text("\n".join(rows) + "\n")
+    (told, *_) = [text for text in check_recording(folder).remarks if "jumps" in text]
+    assert "angle jumps by 6.283 rad between two samples 1 time, first at line 10 of 1.csv" in told
+
+
+def test_whole_numbers_of_seconds_far_apart_may_be_milliseconds(tmp_path):
+    folder = swing(tmp_path / "arm", model="")
+    for file in folder.glob("*.csv"):
+        head, *rows = file.read_text().splitlines()
+        file.write_text(
+            "\n".join([head, *(f"{50 * k},{row.split(',')[1]}" for k, row in enumerate(rows))]) + "\n"
+        )
+    assert any("are they milliseconds?" in text for text in check_recording(folder).remarks)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "cp1252"])
+def test_a_recording_in_another_encoding_is_refused_by_its_name(tmp_path, encoding):
+    folder = swing(tmp_path / "arm")
+    (folder / "1.csv").write_text(
+        "time_s,angle,H\N{LATIN SMALL LETTER O WITH DIAERESIS}he\n0,0,0\n1,0,0\n", encoding=encoding
+    )
+    with pytest.raises(RecordingError, match="UTF-16" if encoding == "utf-16" else "Windows-1252"):
+        check_recording(folder)

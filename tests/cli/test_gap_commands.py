@@ -78,7 +78,7 @@ def test_ctrl_c_says_that_nothing_was_written(command, lost, called, monkeypatch
     monkeypatch.setattr(called, interrupted)
     done = typed(*command, "--json")
     assert done.exit_code == 130
-    assert json.loads(done.stdout)["error"] == f"interrupted; no {lost} was written"
+    assert json.loads(done.stdout)["error"] == f"interrupted by Ctrl-C; no {lost} was written"
     assert "moved" not in done.stderr
 
 

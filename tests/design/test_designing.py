@@ -2,6 +2,7 @@ import csv
 import html
 import json
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ import labrun
 from labrun.app.design import design
 from labrun.app.report import read_findings, write_report
 from labrun.design.constraints import Margin
+from labrun.design.handing_on import written_experiment
 from labrun.errors import PlanError, RequestError, SpecError
 from labrun.models import load_model
 from labrun.report import print_findings
 from labrun.runner import SilentProgress
 from labrun.search import read_generations
+from labrun.spec import load_experiment, shipped_experiments
 from labrun.store import open_run
 
 
@@ -189,7 +192,7 @@ def test_a_constraint_in_unknown_names_is_told_with_its_place(paddle):
 
 def test_devices_and_carriages_have_no_place_in_a_design(paddle):
     path = paddle(("[trial]", '[rig.devices.a]\nplugin = "arduino-servo"\nport = "x"\n[trial]'))
-    with pytest.raises(SpecError, match="a design is simulated, and has no devices"):
+    with pytest.raises(SpecError, match="a design is simulated and has no devices"):
         found(path)
 
 
@@ -206,7 +209,6 @@ def test_an_untouched_copy_gives_way_to_the_rig_of_the_design_and_a_file_of_your
     tmp_path, changed, replaced
 ):
     from labrun.app.design import _place_of
-    from labrun.spec import shipped_experiments
 
     copy = tmp_path / "experiments" / "rowing.toml"
     copy.parent.mkdir()
@@ -260,3 +262,28 @@ def test_show_and_page_of_a_design_tell_what_holds_it_back_and_nothing_of_a_benc
     for words in ("bench time", "Repeatability", "repeatability", "Drift", "jitter", "come to rest"):
         assert words not in page
         assert words not in told
+
+
+def test_the_rig_of_a_design_keeps_to_the_servos_power_and_the_sides_of_that_design():
+    experiments = shipped_experiments()
+    swimmer = load_experiment(experiments / "swimmer.toml").experiment.design
+    design = {"d0": 60.0, "d1": 120.0, "d2": 30.0, "d3": 110.0, "alpha": 40.0, "beta": -55.0, "f": 0.8}
+    text = written_experiment(
+        swimmer.writes["rowing"],
+        (experiments / "rowing.toml").read_text(),
+        "design.writes.rowing",
+        design,
+        title="A swimmer",
+        run="results/swimmer/1",
+        model="model.toml",
+    )
+    rig = tomllib.loads(text)
+    assert rig["cmaes"]["where"] == ["alpha * f < 300 / (2 * pi)", "alpha * f <= 32.032"]
+    assert rig["trial"]["within"]["cameras.link_y"] == [0.015, 0.5]
+    assert rig["trial"]["reference"]["condition"] == {"alpha": 40.0, "beta": -55.0, "f": 0.8}
+
+
+def test_braces_that_hold_no_expression_are_told_at_their_place(paddle):
+    table = '[design.writes.rowing]\ntemplate = "rowing"\ntexts."cmaes.where.1" = "f <= {2 *}"\n'
+    with pytest.raises(SpecError, match=r"design\.writes\.rowing\.texts"):
+        load_experiment(paddle(("[leaders]", f"{table}[leaders]")))

@@ -17,7 +17,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"
 # The pages show experiments of hours on the bench, half a minute in a dry run. Here they get fewer conditions.
 SMALLER = {
     "fin-params": (
-        "--set sweep.axes.b=[0] --set sweep.axes.a=[30,60] --set sweep.axes.f=[1.0,1.4] "
+        "--set sweep.axes.b=[0] --set sweep.axes.a=[30,45,60] --set sweep.axes.f=[1.0,1.4] "
         "--set trial.reference.every=4 --set leaders={count=2,repeats=2}"
     ),
     "turn-torque": (

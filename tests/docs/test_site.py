@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from pydantic import BaseModel
@@ -18,11 +19,19 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 
 
-def _keys():
-    spec = importlib.util.spec_from_file_location("docs_keys", DOCS / "hooks" / "keys.py")
+API = r"^<!-- api: ([\w.]+)"
+"""A module of the reference, as the pages of docs/api name it."""
+
+
+def _hook(name):
+    spec = importlib.util.spec_from_file_location(f"docs_{name}", DOCS / "hooks" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def _keys():
+    return _hook("keys")
 
 
 def _models_within(model: type[BaseModel], found: set[type[BaseModel]]) -> set[type[BaseModel]]:
@@ -75,7 +84,7 @@ def test_every_module_of_the_reference_is_there():
     names = [
         name
         for page in (DOCS / "api").glob("*.md")
-        for name in re.findall(r"^::: (\S+)", page.read_text(), re.M)
+        for name in re.findall(API, page.read_text(encoding="utf-8"), re.M)
     ]
     assert len(names) > 40
     for name in names:
@@ -87,7 +96,7 @@ def test_every_function_of_the_api_has_its_line_and_its_place_in_the_reference()
     lines = re.findall(r"^\| `labrun.*", (DOCS / "python.md").read_text(encoding="utf-8"), re.M)
     assert {name for line in lines for name in re.findall(r"`labrun\.(\w+)\(", line)} == functions
     reference = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md"))
-    modules = set(re.findall(r"^::: (\S+)", reference, re.M))
+    modules = set(re.findall(API, reference, re.M))
     assert {f"labrun.app.{module}" for module in labrun._USE_CASES.values()} <= modules
 
 
@@ -96,6 +105,44 @@ def test_every_file_that_the_rules_for_contributors_name_is_there():
     named = re.findall(r"`((?:labrun|docs|tests|plugins)/[\w./-]+)`", text)
     assert named
     assert not [name for name in named if not (ROOT / name).exists()]
+
+
+def test_the_reference_in_the_repository_is_what_the_docstrings_make_of_it():
+    api = _hook("api")
+    outdated = [page.name for page in api.PAGES.glob("*.md") if api.page(text := page.read_text()) != text]
+    assert not outdated, "python docs/hooks/api.py writes them anew"
+
+
+def test_on_the_site_the_whole_reference_stands_in_place_of_a_table():
+    api = _hook("api")
+    text = "# x\n\n<!-- api: labrun.app.open open OpenRun -->\n## `labrun.app.open`\n\n| | |\n<!-- /api -->\n\nend\n"
+    shown = api.on_page_markdown(text)
+    assert shown == "# x\n\n::: labrun.app.open\n    options:\n      members: [open, OpenRun]\n\n\nend\n"
+
+
+def test_every_device_has_its_line_in_the_index_and_its_page_on_the_site():
+    devices, index = _hook("devices"), (DOCS / "devices.md").read_text(encoding="utf-8")
+    linked = {(DOCS / link).resolve() for link in re.findall(r"\]\((\S+/README\.md)\)", index)}
+    assert linked == {path.resolve() for path in devices.readmes().values()}
+    config = SimpleNamespace(nav=[{"Devices": "devices/*"}])
+    ((pages,),) = [section.values() for section in devices.on_config(config).nav]
+    assert pages == ["devices.md", *(f"devices/{name}.md" for name in devices.readmes())]
+
+
+@pytest.mark.parametrize("page", ["recordings.md", "fits/pid.md"])
+def test_a_link_to_a_readme_leads_to_the_page_of_the_device_on_the_site(page):
+    up = "../" * (page.count("/") + 1)
+    link = f"see [it]({up}plugins/labrun_plugins/ati_daq/README.md#wiring)"
+    shown = _hook("devices").on_page_markdown(link, SimpleNamespace(file=SimpleNamespace(src_uri=page)))
+    assert (Path(page).parent / re.search(r"\((.*)#", shown)[1]).resolve() == Path(
+        "devices/ati-daq.md"
+    ).resolve()
+
+
+def test_links_between_pages_lead_somewhere_in_the_repository():
+    for page in [*DOCS.rglob("*.md"), ROOT / "README.md"]:
+        for link in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / link).exists(), f"{page.relative_to(ROOT)}: {link}"
 
 
 @pytest.mark.slow

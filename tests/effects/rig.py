@@ -13,8 +13,8 @@ stiffness = 50.0
 damping = 0.8
 [equations]
 angle = "rate"
-rate = """(torque + 0*other + force.hinge + force.blade + force.stand + force.hand + force.arm - stiffness*angle
-  - damping*rate) / inertia"""
+rate = """(torque + 0*other + force.hinge + force.blade + force.stand + force.hand + force.arm + force.servo
+  - stiffness*angle - damping*rate) / inertia"""
 [outputs]
 angle = "angle"
 rate  = "rate"
@@ -42,6 +42,10 @@ rate = "2*sin(angle)"
 kind = "link"
 coordinate = "4*sin(2*angle)"
 rate = "rate"
+[sites.servo]
+kind = "controller"
+coordinate = "3*sin(angle)"
+rate = "3*sin(angle) + 2*cos(t)"
 [initial]
 angle = 0.3
 rate = 0.0
@@ -53,6 +57,7 @@ SITES = {
     "base": "stand",
     "tip": "hand",
     "link": "arm",
+    "controller": "servo",
     "input": "torque",
     "output": "angle",
 }

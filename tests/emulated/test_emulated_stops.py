@@ -158,3 +158,19 @@ def test_saturation_rejects_a_trial_and_an_error_status_fails_one_and_both_are_m
             "done",
             "done",
         ]
+
+
+def test_a_servo_that_lost_its_power_for_a_moment_fails_the_trial_it_happened_in(tmp_path):
+    tail = {
+        "plugin": "dynamixel",
+        "port": "/dev/ttyUSB9",
+        "joints": {"tail": {"id": 1}},
+        "limits": {"angle_deg": [-60, 60], "speed_deg_s": 528},
+    }
+    with emulated_lab(tmp_path, rig__devices__tail=tail, trial__cycles=2) as lab:
+        lab.watcher.when_recording(SOON_S, lambda: lab.bench.inject("tail", "restart", 1))
+        with pytest.raises(DeviceError, match="device tail: "):
+            lab.measure()
+        outcome = lab.folder.outcomes()[0]
+        assert outcome.status == "failed"
+        assert "tail" in outcome.reason

@@ -17,6 +17,8 @@ from labrun.search import conditions
 from labrun.spec import find_model_file, load_experiment, loads_experiment, shipped_experiments
 from labrun.toml import split_unit
 
+IN_THE_FIELD = {"field-turn": "turn-torque", "field-forward": "tail-sweep", "field-swim": "forward-pectoral"}
+"""Runs in the field, and the search whose leaders they take there."""
 NAMES = sorted(path.stem for path in shipped_experiments().glob("*.toml"))
 
 
@@ -213,7 +215,7 @@ def test_every_specimen_is_one_at_which_the_comprehensive_maps_hold(name):
         assert stiffness(width_m, length_m) > 0
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "field-turn"])
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in IN_THE_FIELD])
 def test_every_file_has_a_title_and_states_the_units_of_its_conditions(name):
     experiment = shipped(name)
     assert experiment.title
@@ -227,11 +229,13 @@ def test_every_file_has_a_title_and_states_the_units_of_its_conditions(name):
     assert numbers - by_ending <= set(experiment.units) <= numbers | named | set(experiment.over)
 
 
-def test_the_conditions_of_the_field_are_those_of_the_tank():
-    """They are known only when `turn-torque` has run, and have its units."""
-    tank, field = shipped("turn-torque").units, shipped("field-turn").units
-    assert all(field[key] == unit for key, unit in tank.items() if key in field)
-    assert set(field) <= set(tank)
+@pytest.mark.parametrize(("name", "laboratory"), IN_THE_FIELD.items())
+def test_the_conditions_of_the_field_are_those_of_the_laboratory(name, laboratory):
+    """They are known only when the laboratory's search has run, and have its units."""
+    theirs, field = shipped(laboratory), shipped(name)
+    assert field.run.conditions.experiments == [laboratory]
+    assert all(field.units[key] == unit for key, unit in theirs.units.items() if key in field.units)
+    assert set(field.units) <= set(theirs.units)
 
 
 def listed(one):

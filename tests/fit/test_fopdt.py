@@ -7,9 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labrun.errors import FitError, RequestError
-from labrun.fit.signals import trailing_mean
+from labrun.fit.signals import SignalSet, trailing_mean
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.fitting import ResponseTrial, Shape, fit_transfer
+from labrun.fit.transfer.method import summarise, warnings_of
 
 TIME_S = np.arange(0.0, 12.0, 0.02)
 STEP = np.where(TIME_S < 2.0, 0.0, 40.0)
@@ -88,6 +89,41 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say():
             low, high = fit.estimate(quantity, "").ci95
             held[place] += low <= value <= high
     assert np.all(held >= 11), held
+
+
+@pytest.mark.parametrize("lag_s", [1000.0, 1e6])
+def test_of_a_lag_that_outlasts_the_record_the_least_lag_and_the_slope_are_told(lag_s):
+    """An integrator is the limit of a lag that grows with its gain."""
+    slope, rng = 0.005, np.random.default_rng(1)
+    truth = TransferFunction.first_order(slope * lag_s, lag_s, 0.3)
+    fit = fit_transfer(trials_of(truth, rng, count=4), Shape(1, 0), rng=rng, starts=1)
+    signals = SignalSet("steps", "run", (), {}, 0)
+    result = summarise("fopdt", {"level": fit}, signals)
+    lag, gain = result.parameters["level_lag"], result.parameters["level_gain"]
+    assert lag.ci95[0] < lag_s < lag.ci95[1] == np.inf
+    assert gain.ci95[0] < slope * lag_s < gain.ci95[1] == np.inf
+    low, high = result.parameters["level_gain_over_lag"].ci95
+    assert low < slope < high < 1.2 * low
+    (told,) = [one for one in result.warnings if "lag" in one]
+    assert "level: the record is too short to tell the lag" in told
+    assert "gain/lag = 0.0050" in told
+    assert "inf" in result.to_text()
+
+
+def test_a_lag_that_the_record_tells_has_both_ends_of_its_interval():
+    rng = np.random.default_rng(0)
+    truth = TransferFunction.first_order(0.5, 100.0, 0.3)
+    fit = fit_transfer(trials_of(truth, rng, count=4), Shape(1, 0), rng=rng, starts=1)
+    low, high = fit.estimate(lambda one: one.lag_s, "s").ci95
+    assert low < 100.0 < high < 200.0
+    assert warnings_of(fit, "level") == []
+
+
+def test_a_dead_time_at_its_upper_bound_is_told():
+    rng = np.random.default_rng(0)
+    truth = TransferFunction.first_order(0.01, 0.3, 6.0)
+    fit = fit_transfer(trials_of(truth, rng, count=4), Shape(1, 0), rng=rng, starts=1)
+    assert any("dead time ended at its upper bound" in one for one in warnings_of(fit, "level"))
 
 
 def test_an_input_that_never_moves_is_refused():

@@ -82,3 +82,44 @@ def test_a_dry_run_has_the_order_of_merit_of_table_5_3(tmp_path):
     assert mae["+a',b'"] > 0.97 * mae["a,b"]
     assert mae["+a'',b''"] > 0.97 * mae["a,b"]
     assert result.figure.is_file()
+
+
+SWIM = {
+    "inputs": {"a": "gait.a"},
+    "outputs": {"FF": {"channel": "wrench.torque_y", "scale": -1, "divide_by_m": 0.4, "average": "cycle"}},
+    "baskets": {"a": ["a"], "a,a^2,a^3": ["a", "a^2", "a^3"]},
+}
+
+
+@pytest.fixture(scope="module")
+def modulated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("modulated")
+    return execute("fin-amplitude", dry_run=True, seed=1, results=folder).run
+
+
+@pytest.mark.parametrize(
+    ("stated", "expected"),
+    [
+        (0.0096, "agrees with the stated 0.0096"),
+        (0.00912, "does not hold the stated 0.00912: it is off by +5"),
+    ],
+)
+def test_a_stated_coefficient_is_held_against_the_interval(modulated, stated, expected):
+    found = fit(modulated, settings={"stated": {"FF": {"a": stated}}})
+    assert any(expected in sentence for sentence in found.findings)
+
+
+def test_a_basket_with_too_few_trials_for_its_aicc_says_so(modulated):
+    found = fit(modulated)
+    (table,) = found.tables
+    place = table.header.index("AICc")
+    assert [row[place] for row in table.rows][-1] == "-"
+    assert any("AICc of {a,a^2,a^3} needs more trials" in sentence for sentence in found.findings)
+
+
+@pytest.mark.parametrize(("output", "term"), [("SF", "a"), ("FF", "b")])
+def test_a_stated_coefficient_of_what_is_not_fitted_is_refused(output, term):
+    from labrun.fit import make_method
+
+    with pytest.raises(RequestError, match="stated"):
+        make_method("least-squares", {**SWIM, "stated": {output: {term: 1.0}}})

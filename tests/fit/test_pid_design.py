@@ -54,6 +54,8 @@ plants = st.builds(
     dead_s=st.floats(0.05, 2.0),
 )
 
+averages = st.one_of(st.just(0.0), st.floats(0.05, 1.0))
+
 # --- SIMC against Skogestad (2003)
 
 
@@ -122,22 +124,67 @@ def test_margins_are_those_of_python_control_without_dead_time(p, i_per_s, lag_s
     gain, phase, _, omega_pc, omega_gc, _ = control.stability_margins(open_loop)
     closed = control.feedback(open_loop, 1)
     assert found.stable == bool(np.all(closed.poles().real < 0))
-    assert found.gain == pytest.approx(gain, rel=1e-6)
-    assert found.phase_crossover_rad_s == pytest.approx(omega_pc, rel=1e-6)
+    assert found.gain == pytest.approx(gain, rel=1e-4)
+    assert found.phase_crossover_rad_s == pytest.approx(omega_pc, rel=1e-4)
     if found.stable:
-        assert found.phase_deg == pytest.approx(phase, abs=1e-5)
-        assert found.crossover_rad_s == pytest.approx(omega_gc, rel=1e-6)
-        assert found.delay_s == pytest.approx(math.radians(phase) / omega_gc, rel=1e-5)
+        assert found.phase_deg == pytest.approx(phase, abs=1e-3)
+        assert found.crossover_rad_s == pytest.approx(omega_gc, rel=1e-4)
+        assert found.delay_s == pytest.approx(math.radians(phase) / omega_gc, rel=1e-4)
 
 
 def test_an_integral_on_a_dead_time_has_the_margins_of_the_closed_form():
     # L = k exp(-s)/s: crossover k, phase 90 deg - k, oscillates at pi/2 with k = pi/2
     loop = OpenLoop(TransferFunction((1.0,), (1.0,), 1.0))
     found = margins(Gains(0.0, 0.5), loop)
-    assert found.gain == pytest.approx(math.pi, rel=1e-9)
-    assert found.phase_deg == pytest.approx(90 - math.degrees(0.5), rel=1e-9)
-    assert found.delay_s == pytest.approx((math.pi / 2 - 0.5) / 0.5, rel=1e-9)
-    assert found.crossover_rad_s == pytest.approx(0.5, rel=1e-9)
+    assert found.gain == pytest.approx(math.pi, rel=1e-6)
+    assert found.phase_deg == pytest.approx(90 - math.degrees(0.5), rel=1e-6)
+    assert found.delay_s == pytest.approx((math.pi / 2 - 0.5) / 0.5, rel=1e-6)
+    assert found.crossover_rad_s == pytest.approx(0.5, rel=1e-6)
+
+
+@given(plants, st.sampled_from([None, 20.0, 50.0]), st.floats(0.0, 1.0))
+@settings(max_examples=15, deadline=None)
+def test_a_crossover_on_a_frequency_of_the_grid_is_found(plant, rate_hz, share):
+    loop = OpenLoop(plant, rate_hz)
+    shape = Gains(math.copysign(1.0, plant.gain), i_per_s=1.0 / plant.gain)
+    curve = shape.frequency_response(loop.grid_rad_s, loop.step_s) * loop.grid_response
+    index = 10 + round(share * (len(curve) // 2))
+    found = margins(shape.scaled(1.0 / abs(curve[index])), loop)
+    assert found.crossover_rad_s >= loop.grid_rad_s[index] * (1 - 1e-6)
+    assert found.phase_deg <= abs(math.degrees(np.angle(-curve[index]))) + 1e-3
+
+
+@given(
+    st.floats(0.2, 2.0),
+    st.floats(0.2, 1.0),
+    st.sampled_from([None, 20.0]),
+    averages,
+    st.floats(0.05, 3.0),
+    st.floats(0.0, 2.0),
+)
+@settings(max_examples=10, deadline=None)
+def test_margins_are_those_of_a_much_denser_curve(lag_s, dead_s, rate_hz, average_s, share, integral):
+    plant = TransferFunction.first_order(-2.0, lag_s, dead_s)
+    loop = OpenLoop(plant, rate_hz, average_s=average_s)
+    gains = Gains(share / plant.gain, integral / plant.gain / (plant.lag_s + loop.delay_s))
+    found = margins(gains, loop)
+    omega = np.linspace(0, min(30.0, np.pi * (rate_hz or np.inf)), 10_001)[1:]
+    curve = gains.frequency_response(omega, loop.step_s) * loop.frequency_response(omega)
+    negative = np.flatnonzero((np.diff(np.sign(curve.imag)) != 0) & (curve.real[:-1] < 0))
+    if len(negative):
+        assert 1.0 / found.gain == pytest.approx(np.max(np.abs(curve[negative])), rel=1e-2)
+    unit = np.flatnonzero(np.diff(np.sign(np.abs(curve) - 1)) != 0)
+    angles = np.abs(np.degrees(np.angle(-curve[unit])))
+    assert (len(unit) == 0) == math.isinf(found.phase_deg)
+    assert len(unit) == 0 or found.phase_deg == pytest.approx(np.min(angles), abs=1.0)
+    assert 1.0 / found.sensitivity == pytest.approx(np.min(np.abs(1 + curve)), abs=1e-2)
+
+
+def test_an_optimum_bounded_by_its_phase_margin_has_that_phase_margin():
+    loop = OpenLoop(TransferFunction.first_order(3.11, 2.88, 0.654), 50.0)
+    found = margins(optimum(loop, "PI", PidFitSettings(phase_margin_deg=45.0)), loop)
+    assert found.phase_deg == pytest.approx(45.0, abs=0.5)
+    assert found.delay_s == pytest.approx(math.radians(found.phase_deg) / found.crossover_rad_s)
 
 
 def test_ultimate_gains_of_the_fin_are_the_published_ones():
@@ -154,9 +201,6 @@ def test_a_fast_loop_comes_to_the_continuous_one():
         ultimate(OpenLoop(MAGNITUDE, average_s=CYCLE_S)),
     )
     assert fast == pytest.approx(slow, rel=2e-3)
-
-
-averages = st.one_of(st.just(0.0), st.floats(0.05, 1.0))
 
 
 @given(plants, st.floats(2.0, 50.0), averages, st.floats(0.0, 0.2))

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 
@@ -51,7 +52,9 @@ def write_h5(path, time_s, goals, angles):
     return path
 
 
-def write_lerobot(folder, goals, angles, *, scale=1.0, names=JOINTS, episodes=3, version=2):
+def write_lerobot(
+    folder, goals, angles, *, scale=1.0, names=JOINTS, episodes=3, version=2, lengths=None, robot_type=None
+):
     """Write the layout of LeRobot's datasets: meta/info.json and a file an episode; since version 3 one of several."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -64,9 +67,12 @@ def write_lerobot(folder, goals, angles, *, scale=1.0, names=JOINTS, episodes=3,
         "fps": RATE_HZ,
         "features": {"observation.state": feature, "action": feature},
     }
+    if robot_type:
+        info["robot_type"] = robot_type
     (folder / "meta" / "info.json").write_text(json.dumps(info))
     tables, chunk = [], folder / "data" / "chunk-000"
-    for episode, rows in enumerate(np.array_split(np.arange(len(goals)), episodes)):
+    parts = np.array_split(np.arange(len(goals)), episodes if lengths is None else np.cumsum(lengths)[:-1])
+    for episode, rows in enumerate(parts):
         table = pa.table({
             "observation.state": (scale * angles[rows]).tolist(),
             "action": (scale * goals[rows]).tolist(),
@@ -81,7 +87,7 @@ def write_lerobot(folder, goals, angles, *, scale=1.0, names=JOINTS, episodes=3,
     else:
         pq.write_table(pa.concat_tables(tables[:2]), chunk / "file-000.parquet")
         pq.write_table(pa.concat_tables(tables[2:]), chunk / "file-001.parquet")
-        told = pa.table({"episode_index": range(episodes), "length": [len(table) for table in tables]})
+        told = pa.table({"episode_index": range(len(tables)), "length": [len(table) for table in tables]})
         (folder / "meta" / "episodes" / "chunk-000").mkdir(parents=True)
         pq.write_table(told, folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
     return folder
@@ -138,3 +144,11 @@ def write_bag(path, time_s, goals, angles, *, storage="mcap", clock_s=0.0, named
             writer.write(goal, received - 5_000_000, serialize(told(row), goal_type))
             writer.write(state, received, serialize(states(row), "sensor_msgs/msg/JointState"))
     return path
+
+
+def resident(*, afresh=False):
+    """Return the most memory that this process has had, bytes; `afresh`: from now on."""
+    if afresh:
+        Path("/proc/self/clear_refs").write_text("5")
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))

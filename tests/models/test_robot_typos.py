@@ -26,7 +26,10 @@ TYPOS = {
     ("</body>", ""): "arm.xml, line 3: <body> is not closed",
     ('axis="0 1 0"', 'axis="0 1 a"'): "line 4: .*axis.*\n.*a point, no comma",
     ('mass="0.3"', 'mass="0,3"'): "line 5: .*mass.*\n.*a point, no comma",
-    ('1e-3 1e-3 1e-3"', '1e-3 1e-3 1e-2"'): "line 3: .*inertia.*\n.*none is more than the other two",
+    (
+        '1e-3 1e-3 1e-3"',
+        '1e-3 1e-3 1e-2"',
+    ): "inertia of upper .line 3, .*more than the other two together.*\n.*--repair",
     (' mass="0.3" diaginertia="1e-3 1e-3 1e-3"', ' mass="0.3"'): "line 3: .*\n.*mass and diaginertia",
     ("<worldbody>", '<include file="leg.xml"/><worldbody>'): "line 2: .*leg.xml.*\n.*beside the one",
 }

@@ -128,9 +128,18 @@ def test_findings_print_everything_one_asks_of_a_run():
         assert expected in text
 
 
+def test_clocks_of_simulated_streams_are_made_up_and_not_printed():
+    view = sweep_view(lambda c: c["f"], {"f": [1, 2]})
+    text = printed(replace(view, run=OwnClock(view.run.outcomes)), 80)
+    assert "streams" in text
+    assert "offset" not in text
+    assert "ppm" not in text
+
+
 def test_clocks_of_the_streams_are_printed_whole_in_80_columns():
     view = sweep_view(lambda c: c["f"], {"f": [1, 2]})
-    text = printed(replace(view, run=OwnClock(view.run.outcomes, lost=12)), 80)
+    measured = OwnClock(view.run.outcomes, lost=12, provenance={"seed": 1})
+    text = printed(replace(view, run=measured), 80)
     (row,) = [line for line in text.splitlines() if line.strip().startswith("wrench")]
     assert re.search(r" -?[\d.]+ s ", row)
     assert re.search(r" -?[\d.]+ ppm ", row)

@@ -67,6 +67,20 @@ def test_an_imported_recording_is_shown_with_channels_trials_and_origin(recordin
         assert expected in text
 
 
+def test_a_published_table_is_shown_with_its_numbers(tmp_path):
+    folder = tmp_path / "speeds"
+    folder.mkdir()
+    text = '[source]\nkind = "publication"\n[channels.speed]\nkind = "output"\nunit = "m/s"\n'
+    for gait, speed in (("rowing", 0.32), ("undulation", 0.16)):
+        text += f'[[trials]]\nfile = "{gait}.csv"\ncondition = {{ gait = "{gait}" }}\n'
+        (folder / f"{gait}.csv").write_text(f"time_s,speed\n0,{speed}\n")
+    (folder / "recording.toml").write_text(text)
+    with open_target(str(folder), tmp_path / "results") as run:
+        text = shown(run)
+    for expected in ("source: publication\n", "speed (m/s)", "rowing", "0.32", "0.16"):
+        assert expected in text
+
+
 def test_a_recording_folder_is_shown_as_it_would_be_imported_and_nothing_stays(
     recording, tmp_path, monkeypatch
 ):

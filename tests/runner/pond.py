@@ -4,6 +4,8 @@ Real devices of labrun's protocols, with bad days on request; the runner's tests
 would be run.
 """
 
+import collections
+import itertools
 import os
 import time
 from pathlib import Path
@@ -18,6 +20,14 @@ def witness(path, text):
     if path is not None:
         with Path(path).open("a") as file:
             file.write(text + "\n")
+
+
+def hang(holding):
+    """Do not return for a minute; for ever and `holding` the lock of the interpreter, as a faulty driver in C may."""
+    if holding:
+        collections.deque(itertools.repeat(0), maxlen=0)
+    else:
+        time.sleep(60)
 
 
 class Pond:
@@ -84,6 +94,14 @@ class Pond:
         return {"gain": self.gain}
 
 
+class Hoarder(Pond):
+    """Keeps all of its past: 300 kB a trial."""
+
+    def snapshot(self):
+        self.past = [*getattr(self, "past", []), "x" * 300_000]
+        return {**super().snapshot(), "past": self.past}
+
+
 class Servo:
     """Drives the pond's tail, or nothing where there is no pond."""
 
@@ -93,6 +111,7 @@ class Servo:
         port: str = ""
         stop_log: str | None = None
         hang_after_s: float | None = None
+        hang_holding: bool = False
         temperature_c: float = 25.0
         runaway_after_s: float | None = None
         stop_fails: bool = False
@@ -103,6 +122,7 @@ class Servo:
         reopen_fails: bool = False
         identify_fails: bool = False
         stop_hangs_s: float = 0.0
+        restarts_after_s: float | None = None
 
     def __init__(self, name, settings, context):
         self.name = name
@@ -127,6 +147,9 @@ class Servo:
         return Identity("pond servo", serial="1")
 
     def health(self):
+        restarts = self.settings.restarts_after_s
+        if restarts is not None and self.clock.now() - self.opened_s > restarts:
+            return Health(ok=False, notes=("it restarted, its torque is off",))
         hot = self.settings.hot_after_s
         if hot is not None and self.clock.now() - self.opened_s > hot:
             return Health(temperature_c=90.0)
@@ -144,7 +167,7 @@ class Servo:
     def pose(self):
         after = self.settings.hang_after_s
         if after is not None and self.clock.now() - self.opened_s > after:
-            time.sleep(60)
+            hang(self.settings.hang_holding)
         fails = self.settings.pose_fails_after_s
         if fails is not None and self.clock.now() - self.opened_s > fails:
             raise OSError("the cable is gone")
@@ -175,6 +198,33 @@ class Servo:
         witness(settings.stop_log, f"emergency_stop {name} {os.getpid()}")
 
 
+class EncoderServo(Servo):
+    """Measures its joint at 100 samples/s; it lags, and jams where it is told to."""
+
+    class Settings(Servo.Settings):
+        """With the times on the clock between which the joint is blocked."""
+
+        jams_s: tuple[float, float] = (1e9, 1e9)
+        lag_s: float = 0.02
+
+    channels = (Channel("tail_angle", "rad"),)
+    rate_hz = 100.0
+
+    def start(self):
+        self.next_s = self.clock.now()
+
+    def read(self):
+        count = int((self.clock.now() - self.next_s) * self.rate_hz + 1e-6)
+        times = self.next_s + np.arange(count) / self.rate_hz
+        self.next_s += count / self.rate_hz
+        begin, end = self.settings.jams_s
+        free = np.where((times > begin) & (times < end), begin, times)
+        return Samples(times, times, self.scene.angle(free - self.settings.lag_s)[:, None])
+
+    def stop(self):
+        pass
+
+
 class Cell:
     """Measures the pond's force with noise at 100 samples/s."""
 
@@ -192,6 +242,10 @@ class Cell:
         silent_trials: tuple[int, ...] = ()
         silent_times: int = 99
         open_fails: bool = False
+        hang_after_s: float | None = None
+        hang_holding: bool = False
+        read_answers: str = ""
+        health_answers: str = ""
 
     def __init__(self, name, settings, context):
         self.name = name
@@ -215,7 +269,7 @@ class Cell:
         return Identity("pond cell")
 
     def health(self):
-        return Health()
+        return {"": Health(), "none": None, "list": []}[self.settings.health_answers]
 
     def safe_stop(self):
         pass
@@ -238,6 +292,8 @@ class Cell:
     def read(self):
         now = self.clock.now()
         age = now - self.opened_s
+        if self.settings.hang_after_s is not None and age > self.settings.hang_after_s:
+            hang(self.settings.hang_holding)
         if self.silent or (self.settings.silent_after_s is not None and age > self.settings.silent_after_s):
             return Samples.empty(1)
         count = int((now - self.next_s) * self.rate_hz + 1e-6)
@@ -253,7 +309,11 @@ class Cell:
             values = np.hstack([values, values])
         saturated = 3 if self.trial in self.settings.saturated_trials else 0
         lost = count if self.trial in self.settings.lossy_trials else 0
-        return Samples(times - 5.0, times + 0.002, values, lost=lost, saturated=saturated)
+        block = Samples(times - 5.0, times + 0.002, values, lost=lost, saturated=saturated)
+        if self.settings.read_answers == "again" and count:
+            self.next_s -= 2 / self.rate_hz
+        twice = Samples(*(np.repeat(part, 2, axis=0) for part in (times - 5.0, times + 0.002, values)))
+        return {"none": None, "list": [block], "doubled": twice}.get(self.settings.read_answers, block)
 
 
 class Sledge:

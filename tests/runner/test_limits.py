@@ -111,6 +111,17 @@ def test_the_plan_counts_trials_time_disk_and_demand():
     assert report["disk_bytes"] > 8 * 300 * 8 * 4
 
 
+def test_the_disk_asked_for_covers_the_trial_files_and_the_packed_run_beside_them(lab):
+    lab = lab()
+    conditions = [{"a": 10, "f": 1.0}, {"a": 20, "f": 1.0}]
+    plan = Planner(lab.experiment, lab.rig).plan(conditions)
+    lab.session.measure(conditions)
+    trials = sum(path.stat().st_size for path in lab.folder.path.glob("trials/*.h5"))
+    packed = lab.folder.pack().stat().st_size
+    assert trials + packed <= plan.disk_bytes <= 4 * (trials + packed)
+    assert packed <= plan.disk_kept_bytes <= plan.disk_bytes
+
+
 def test_the_estimated_time_is_close_to_what_the_run_takes(lab):
     lab = lab()
     conditions = [{"a": 10, "f": 1.0}, {"a": 20, "f": 2.0}]

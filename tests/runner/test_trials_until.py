@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from paddle_lab import experiment_with
+from pydantic import ValidationError
 
 from labrun.errors import ExperimentError
 from labrun.runner import RealClock, Rig, Session, UntilRecorder
@@ -75,9 +76,39 @@ def test_samples_are_kept_of_one_cycle_in_so_many_and_dated_by_the_motion(tiring
     assert np.corrcoef(first.column("force_x"), phase)[0, 1] > 0.99
 
 
-@pytest.mark.parametrize("killed_after", [3, 10, 17])
-def test_a_killed_dry_run_goes_on_to_the_same_numbers(tiring, tmp_path, monkeypatch, killed_after):
-    whole = tiring()
+SPARING = {**TIRING["trial__until"], "judge_every": 5}
+
+
+def test_cycles_that_nobody_judges_are_moved_and_count_as_the_one_before(tiring):
+    every, sparing = tiring(), tiring(trial__until=SPARING)
+    for lab in (every, sparing):
+        lab.session.measure(CONDITION)
+    (whole, measured), (outcome, signals) = stored(every.folder), stored(sparing.folder)
+    numbers = signals["cycles"].column("thrust")
+    assert outcome.objectives["cycles"] == len(numbers) == outcome.duration_s
+    assert len(numbers) % 5 == 1  # it ends with a cycle that was measured
+    assert 0 <= len(numbers) - whole.objectives["cycles"] < 6
+    np.testing.assert_allclose(numbers[:10], measured["cycles"].column("thrust")[:10], rtol=0.05)
+    later = numbers[10 : len(numbers) - 1].reshape(-1, 5)
+    assert (later == later[:, :1]).all()
+    assert (np.diff(later[:, 0]) < 0).all()
+    # the time that nobody measured has passed: it tires by exp(-t / 50 s)
+    assert later[-1, 0] / later[0, 0] == pytest.approx(np.exp(-5 * (len(later) - 1) / 50.0), rel=0.05)
+
+
+def test_only_a_divisor_of_what_is_kept_can_be_judged(tiring):
+    with pytest.raises(ValidationError, match="3 does not divide keep_every = 10"):
+        tiring(trial__until={**SPARING, "judge_every": 3})
+
+
+@pytest.mark.parametrize(("until", "killed_after"), [
+    *((TIRING["trial__until"], cycles) for cycles in (3, 10, 17)), (SPARING, 16), (SPARING, 26),
+])  # fmt: skip
+def test_a_killed_dry_run_goes_on_to_the_same_numbers(tiring, tmp_path, monkeypatch, until, killed_after):
+    def tiring_until(*folder):
+        return tiring(*folder, trial__until=until)
+
+    whole = tiring_until()
     whole.session.measure(CONDITION)
     folder = RunFolder.create(tmp_path / "other", "paddle", "title = 'x'", {"seed": 1})
     append = CycleLog.append
@@ -90,8 +121,8 @@ def test_a_killed_dry_run_goes_on_to_the_same_numbers(tiring, tmp_path, monkeypa
     with monkeypatch.context() as patch:
         patch.setattr(CycleLog, "append", killed)
         with pytest.raises(ExperimentError):
-            tiring(folder).session.measure(CONDITION)
-    again = tiring(RunFolder.open(folder.path))
+            tiring_until(folder).session.measure(CONDITION)
+    again = tiring_until(RunFolder.open(folder.path))
     again.session.measure(CONDITION)
     (before, numbers), (after, repeated) = stored(whole.folder), stored(folder)
     assert after.objectives == before.objectives

@@ -22,9 +22,8 @@ RUNNER = """
 
     experiment = experiment_with(
         rig__devices__tail__stop_log={log!r},
-        rig__devices__tail__hang_after_s={hang_after_s},
         rig__watchdog_s=2.0,
-        trial__cycles={cycles},
+        **{changes!r},
         trial__settle=None,
         trial__tare=None,
         trial__repeats=1,
@@ -44,14 +43,13 @@ def runner(tmp_path):
     """Return a function that starts a runner on the paddle's own driver, with its log of stops."""
     started = []
 
-    def start(*, hang_after_s=None, cycles=60):
+    def start(**changes):
         log = tmp_path / "stops.log"
         code = textwrap.dedent(RUNNER).format(
             here=str(Path(__file__).parent),
             log=str(log),
             results=str(tmp_path / "results"),
-            hang_after_s=hang_after_s,
-            cycles=cycles,
+            changes={"trial__cycles": 60, **changes},
         )
         process = subprocess.Popen(
             [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE
@@ -94,10 +92,39 @@ def test_after_kill_9_the_watchdog_stops_the_actuators(runner):
 
 
 def test_a_runner_that_hangs_is_killed_first_and_then_the_actuators_are_stopped(runner):
-    process, log = runner(hang_after_s=1.0)
+    process, log = runner(rig__devices__tail__hang_after_s=1.0, rig__devices__tail__hang_holding=True)
     assert process.wait(timeout=30) == -signal.SIGKILL
     wait_for(lambda: stopped(log, process.pid))
+    assert b"the driver of tail hangs" in process.stderr.read()
     assert not any(line.startswith("safe_stop") for line in lines(log))
+
+
+NO_ACTUATOR = {
+    "rig__devices__tail": None,
+    "gait": {"plugin": "hold"},
+    "trial__safe_pose_deg": None,
+    "trial__cycles": None,
+    "trial__duration_s": 60,
+    "trial__discard_cycles": None,
+}
+
+
+@pytest.mark.parametrize("bench", [{}, NO_ACTUATOR], ids=["with an actuator", "without one"])
+def test_a_sensor_whose_read_hangs_is_named_and_the_trial_is_kept(runner, bench):
+    process, log = runner(**{"rig__devices__cell__hang_after_s": 1.0, **bench})
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert b"device cell: its read() has not returned for" in errors
+    assert not any(line.startswith("emergency_stop") for line in lines(log))
+
+
+def test_on_a_rig_without_actuator_a_sensor_that_hangs_for_good_is_named_by_the_watchdog(runner):
+    process, _ = runner(
+        **{"rig__devices__cell__hang_after_s": 1.0, "rig__devices__cell__hang_holding": True, **NO_ACTUATOR}
+    )
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == -signal.SIGKILL
+    assert b"the driver of cell hangs" in errors
 
 
 def test_a_runner_that_was_stopped_by_the_system_counts_as_hanging(runner):
@@ -109,7 +136,7 @@ def test_a_runner_that_was_stopped_by_the_system_counts_as_hanging(runner):
 
 
 def test_after_a_regular_end_the_watchdog_leaves_quietly(runner):
-    process, log = runner(cycles=2)
+    process, log = runner(trial__cycles=2)
     output, _ = process.communicate(timeout=30)
     assert output == b"closed\n"
     assert process.returncode == 0

@@ -166,3 +166,29 @@ def test_pure_noise_counts_as_stagnation(tmp_path):
     bench = AnalyticBench(lambda c: 0.0, noise=1.0, repeats=RepeatRule(min=3, max=3))
     search(experiment, bench, tmp_path)
     assert len(read_generations(tmp_path)) < 60
+
+
+def test_a_constant_objective_is_told_from_one_that_the_noise_hides(tmp_path):
+    experiment = search_experiment(box("ab"), stop={"iterations": 30, "stagnation": 4})
+    constant = search(experiment, AnalyticBench(lambda _: 0.25), tmp_path / "constant").verdict
+    noisy = search(experiment, AnalyticBench(lambda _: 0.25, noise=0.1), tmp_path / "noisy").verdict
+    assert (constant.ending, noisy.ending) == ("constant", "stagnated")
+
+
+@pytest.mark.parametrize("unit", [2.0**-60, 2.0**40])
+def test_the_unit_of_an_objective_does_not_change_the_search(tmp_path, unit):
+    experiment = search_experiment(box("ab"), stop={"iterations": 25})
+    search(experiment, AnalyticBench(hill), tmp_path / "one")
+    search(experiment, AnalyticBench(lambda c: unit * hill(c)), tmp_path / "other")
+    one, other = read_generations(tmp_path / "one"), read_generations(tmp_path / "other")
+    assert [state["mean"] for state in one] == [state["mean"] for state in other]
+
+
+def test_a_limit_of_fewer_trials_than_a_generation_is_told_as_the_reason(tmp_path):
+    experiment = search_experiment(box("ab"), population=12, stop={"trials": 3})
+    verdict = search(experiment, AnalyticBench(hill), tmp_path).verdict
+    assert verdict.trials == 12
+    assert (
+        "12 trials, more than stop.trials = 3: a search measures one whole generation at least"
+        in verdict.text
+    )

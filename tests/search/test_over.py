@@ -5,6 +5,7 @@ import pytest
 from analytic_bench import AnalyticBench
 
 from labrun.app.check import check
+from labrun.app.report import confirmed_best, read_findings
 from labrun.errors import SpecError
 from labrun.search import OverSettings, at_settings, honest_best, settings_of, stored_result
 from labrun.spec import Leaders, RepeatRule, load_experiment
@@ -85,6 +86,22 @@ def test_a_sweep_measures_each_point_at_each_setting_and_names_the_best_point(wr
     assert len(confirming) == 3 * 2
     plan = check(path)
     assert plan.trials == len(measured) + 2 * 3 * 2 + 3 * 2
+
+
+def test_what_is_told_of_a_best_says_over_which_settings_it_is_summed_and_ranks_the_sums(write, dry_run):
+    result = dry_run(sweep(write))
+    assert "sum over f = 0.8, 1.2" in result.to_text()
+    assert result.to_json()["best"]["combined"].startswith("sum over f")
+    with open_run(result.run) as run:
+        findings = read_findings(run)
+        assert confirmed_best(findings).value == pytest.approx(result.best.value)
+    rows = findings.conditions
+    assert [row.condition["a"] for row in rows[:2]] == [result.best.parameters["a"]] * 2
+    for pair in (rows[:2], rows[2:]):
+        assert [row.condition["f"] for row in pair] == [0.8, 1.2]
+        both = sum(row.points["thrust"].mean for row in pair)
+        assert pair[0].combined.mean == pytest.approx(both)
+    assert rows[0].combined.mean > rows[2].combined.mean
 
 
 def test_a_search_over_settings_that_was_stopped_and_resumed_ends_as_one_in_one_go(write, dry_run):

@@ -9,11 +9,12 @@ from labrun.search.ending import judge
 SHRINKING = [0.3 * 0.9**n for n in range(12)]
 
 
-def verdict(spreads, *, budget_spent=True, goal=None):
+def verdict(spreads, *, budget_spent=True, is_constant=False, goal=None):
     return judge(
         "12 generations",
         spreads,
         budget_spent=budget_spent,
+        is_constant=is_constant,
         goal=goal,
         trials=240,
         trials_each=20,
@@ -57,3 +58,10 @@ def test_no_progress_at_a_wide_spread_is_stagnation():
 def test_a_verdict_comes_back_from_its_record():
     found = verdict(SHRINKING)
     assert Verdict.from_record(found.to_record()) == found
+
+
+def test_an_objective_that_never_changes_does_not_depend_on_the_parameters():
+    found = verdict(SHRINKING, budget_spent=False, is_constant=True)
+    assert found.ending == "constant"
+    assert "does not depend on the parameters" in found.text
+    assert "noise" not in found.text

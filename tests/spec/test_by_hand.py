@@ -38,8 +38,8 @@ def test_the_person_is_told_the_values():
             'names = ["speciman"]',
             'no condition has this name; did you mean "specimen"?',
         ),
-        ('names = ["specimen"]', 'names = ["specimen", "specimen"]', '"specimen" stands there twice'),
-        ("{specimen}", "{fin}", "{fin} stands for nothing that is set by hand"),
+        ('names = ["specimen"]', 'names = ["specimen", "specimen"]', '"specimen" is listed twice'),
+        ("{specimen}", "{fin}", "{fin} is none of the names that are set by hand"),
         ('["p1", "p2"]', '["p1", "p2", "p1"]', "p1 is named 2 times"),
         (
             "[trial]",
@@ -51,9 +51,9 @@ def test_the_person_is_told_the_values():
             'kind = "run"\nrun.conditions = [{ specimen = "p1", v = 1 }, { specimen = "p1", v = 1 }]',
             "specimen = p1 is named twice with the same values, here and as number 1",
         ),
-        ("[trial]", "[damage]\n[trial]", "says nothing: give when, broken, or both"),
+        ("[trial]", "[damage]\n[trial]", "needs when, broken, or both"),
         ("[trial]", "[damage]\nwhen = 'w > 1'\n[trial]", 'unknown name "w"'),
-        ("[trial]", "[damage]\nwhen = 'v + 1'\n[trial]", "compares nothing"),
+        ("[trial]", "[damage]\nwhen = 'v + 1'\n[trial]", "is no comparison"),
         ("[trial]", "[damage]\nof = ['fin']\nwhen = 'v > 1'\n[trial]", "no condition has this name"),
     ],
 )

@@ -1,6 +1,9 @@
 """A condition as a key and in words."""
 
+import pytest
+
 from labrun.spec import condition_key, condition_text, value_text, varying
+from labrun.spec.raw import condition_units
 
 
 def test_equal_conditions_have_equal_keys_whatever_their_order() -> None:
@@ -27,3 +30,31 @@ def test_a_value_without_unit_is_a_bare_number() -> None:
 def test_only_what_differs_between_conditions_names_them() -> None:
     assert varying([{"a": 1, "b": 2, "c": "x"}, {"a": 1, "b": 3, "c": "y"}]) == ["b", "c"]
     assert varying([{"a": 1, "b": 2}]) == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("key", "expression", "unit"),
+    [
+        ("frequency_hz", "f", "Hz"),
+        ("offset_deg", "-f", "deg"),
+        ("offset_deg", "f / 2", None),
+        ("phase_deg", " f ", "deg"),
+    ],
+)
+def test_a_condition_has_the_unit_of_the_key_that_takes_it_as_it_stands(
+    key: str, expression: str, unit: str | None
+) -> None:
+    data = {
+        "kind": "sweep",
+        "sweep": {"axes": {"f": [1, 2]}},
+        "gait": {"joints": {"tail": {key: expression}}},
+    }
+    assert condition_units(data).get("f") == unit
+
+
+def test_the_table_of_units_counts_before_the_keys_and_keys_that_disagree_say_nothing() -> None:
+    joints = {"tail": {"frequency_hz": "f", "offset_deg": "f", "amplitude_deg": "a"}}
+    data = {"kind": "sweep", "sweep": {"axes": {"f": [1], "a": [1], "v": [1]}}, "gait": {"joints": joints}}
+    assert condition_units(data) == {"a": "deg"}
+    data |= {"units": {"f": "rpm"}, "trial": {"carriage": {"speed_m_s": "v"}}}
+    assert condition_units(data) == {"f": "rpm", "a": "deg", "v": "m/s"}

@@ -115,12 +115,12 @@ def test_a_misspelt_name_comes_with_the_nearest_valid_one(problems, old, new, ke
         ('outliers = { objective = "trust" }', "trial.outliers.objective", 'did you mean "thrust"?'),
         ("repeats = { min = 1, max = 2, standard_error = { thrst = 1 } }", "trial.repeats.standard_error.thrst", "thr"),
         ("reference = { every = 9, condition = { a = 1, g = 1 } }", "trial.reference.condition.g", 'did you mean "f"?'),
-        ("reference = { every = 9, condition = { a = 1 } }", "trial.reference.condition", "lacks a value for f"),
+        ("reference = { every = 9, condition = { a = 1 } }", "trial.reference.condition", "has no value for f"),
         ('carriage = { device = "tial", speed_m_s = 1, to_m = 1 }', "trial.carriage.device", "no device of this name"),
         ('carriage = { device = "wrench", speed_m_s = 1, to_m = 1 }', "trial.carriage.device", "cannot travel"),
         ("safe_pose_deg = { tial = 0 }", "trial.safe_pose_deg.tial", 'did you mean "tail"?'),
         ('tare = { devices = ["wrnch"] }', "trial.tare.devices[0]", 'did you mean "wrench"?'),
-        ("duration_s = 3", "trial.duration_s", "give cycles, duration_s or until"),
+        ("duration_s = 3", "trial.duration_s", "give one of cycles, duration_s and until"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_together_is_told(problems, extra, key, says):
@@ -404,3 +404,32 @@ def test_a_plugin_may_stand_beside_the_experiment(write, tmp_path):
     loaded = load_experiment(write(('plugin = "sine"', 'plugin = "square_beside:Gait"')))
     assert make_gait(loaded.experiment.gait).joints == ("tail",)
     assert sys.path == before
+
+
+def test_without_the_table_of_its_kind_only_that_is_told(write):
+    path = write(
+        ("[sweep]\n", ""),
+        ("axes = { a = { from = 10, to = 60, step = 5 }, f = [0.5, 1.0, 1.5] }\n", ""),
+        ('where = ["a * f <= 84"]\n', ""),
+    )
+    with pytest.raises(SpecError) as told:
+        load_experiment(path)
+    (problem,) = told.value.details["problems"]
+    assert (problem["key"], problem["line"]) == ("kind", 2)
+    assert "needs a table [sweep]" in problem["message"]
+
+
+def test_a_table_of_another_kind_is_offered(write):
+    with pytest.raises(SpecError, match=r'needs a table \[run\]; add it, or write kind = "sweep"'):
+        load_experiment(write(('kind = "sweep"', 'kind = "run"')))
+
+
+def test_another_spelling_of_the_same_unit_is_told_as_one(write):
+    with pytest.raises(SpecError, match="the suffix of N m is _n_m; write torque_n_m = 30"):
+        load_experiment(write(("force_n = 300", "force_n = 300, torque_nm = 30")))
+
+
+def test_a_sentence_of_a_devices_own_check_stands_as_it_is(write):
+    joints = '"dynamixel"\njoints = { tail = { id = 1 }, head = { id = 1 } }'
+    with pytest.raises(SpecError, match=r"rig\.devices\.tail: joints tail and head both have id 1"):
+        load_experiment(write(('"arduino-servo"', joints)))

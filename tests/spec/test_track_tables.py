@@ -84,8 +84,8 @@ def test_a_file_with_two_loops_loads_and_its_resolved_text_is_equal(tmp_path):
             'the gait does not use this name; did you mean "a"',
         ),
         ('drives    = "b"', 'drives    = "a"', "30:13", "the loop force drives this already"),
-        ('drives    = "b"', 'drives    = "gain"', "30:13", "this is a value of the conditions"),
-        ("frequency_hz = 1.4", 'frequency_hz = "1 + a / 60"', "14:71", "a loop cannot set this key"),
+        ('drives    = "b"', 'drives    = "gain"', "30:13", "the conditions set this value already"),
+        ("frequency_hz = 1.4", 'frequency_hz = "1 + a / 60"', "14:71", "a loop cannot change this key"),
         ('"wrench.torque_y"', '"wrench.torqe_y"', "25:52", 'did you mean "wrench.torque_y"'),
         (
             '"wrench.torque_y"',
@@ -102,9 +102,9 @@ def test_a_file_with_two_loops_loads_and_its_resolved_text_is_equal(tmp_path):
         ("{ gain = 0.009 }", '"models/fin.toml"', "28:61", 'there is no file "models/fin.toml"'),
         ("{ gain = 0.009 }", "{ lag_s = 3 }", "28:53", "a model needs its gain"),
         ("loop.force_error", "loop.force_eror", "37:11", 'did you mean "loop.force_error"'),
-        ('plugin = "sine"', 'plugin = "release"', "13:10", "these can: formula, hold, sine"),
+        ('plugin = "sine"', 'plugin = "release"', "13:10", "it can steer formula, hold, sine"),
         ("rate_hz = 20\n", "", "17:2", 'the key "rate_hz" is missing'),
-        ("[rig.devices.wrench]", "[rig.devices.loop]", "9:2", "this name is taken"),
+        ("[rig.devices.wrench]", "[rig.devices.loop]", "9:2", "this name is reserved"),
     ],
 )
 def test_what_is_wrong_is_said_with_its_place_and_what_would_do(tmp_path, old, new, place, said):
@@ -145,5 +145,5 @@ def test_a_model_file_becomes_part_of_the_experiment(tmp_path):
 
 def test_a_kind_track_needs_its_table(tmp_path):
     text = GOOD.split("[track]", maxsplit=1)[0]
-    with pytest.raises(SpecError, match=r'"track" needs a table \[track\]'):
+    with pytest.raises(SpecError, match=r"needs a table \[track\]; add it"):
         loads_experiment(text, "wave")

@@ -41,10 +41,10 @@ def test_summaries_of_the_last_cycles_of_another_objective_and_the_number_of_cyc
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("peak", "compares nothing"),
-        ("median(first 3) < 1", "of which objective? write median(peak, first 3)"),
-        ("peak < median(work, first 0)", "is of no cycle"),
-        ("peak < median(first)", "is no summary of cycles; one reads median(first 100)"),
+        ("peak", "is no comparison"),
+        ("median(first 3) < 1", "does not name its objective; write median(peak, first 3)"),
+        ("peak < median(work, first 0)", "covers no cycle"),
+        ("peak < median(first)", "is no summary of cycles; write for example median(first 100)"),
         ("peak < open(3)", "there is no function"),
     ],
 )
@@ -58,14 +58,14 @@ def test_what_is_no_condition_is_said(text, complaint):
     ("before", "after", "complaint"),
     [
         ('"peak < 0.2', '"peek < 0.2', 'no objective "peek"; did you mean "peak"?'),
-        ("max_cycles = 50000", "max_cycles = 50", "nothing would ever be judged: the condition wants"),
-        ("[trial]", "[trial]\ncycles = 5", "the trial has two lengths, with cycles"),
-        ("[trial]", "[trial]\ndiscard_cycles = 5", "with until every cycle counts"),
+        ("max_cycles = 50000", "max_cycles = 50", "and would never be judged"),
+        ("[trial]", "[trial]\ncycles = 5", "the trial has another length already, cycles"),
+        ("[trial]", "[trial]\ndiscard_cycles = 5", "a trial with until counts every cycle"),
         ("[trial]", '[trial]\non_fault = "skip"', "goes on with the same cycles"),
         (
             "[objectives]",
             '[objectives]\ncycles = { plugin = "pond:Peak" }',
-            "the number of cycles has this name",
+            "reserved for the number of cycles",
         ),
         ('"sine"', '"hold"', 'the gait "hold" has no cycle to count'),
     ],

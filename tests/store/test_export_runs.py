@@ -24,10 +24,11 @@ def test_csv_has_one_row_a_trial_in_the_order_promised(run, tmp_path):
     to_csv(run, tmp_path / "trials.csv")
     with (tmp_path / "trials.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0])[:6] == ["index", "b", "foil", "repeat", "status", "thrust"]
+    assert list(rows[0])[:6] == ["index", "b (deg)", "foil", "repeat", "status", "thrust"]
+    assert {"started_s", "duration_s"} < set(rows[0]), "a unit that the name ends in is not repeated"
     assert {"role", "reason"} < set(rows[0])
     assert [int(row["index"]) for row in rows] == list(range(5))
-    assert [float(row["b"]) for row in rows] == [0.1 * index for index in range(5)]
+    assert [float(row["b (deg)"]) for row in rows] == [0.1 * index for index in range(5)]
     assert [float(row["thrust"]) for row in rows[:4]] == [1 / (index + 3) for index in range(4)]
     assert (rows[4]["thrust"], rows[4]["status"], rows[4]["reason"]) == (
         "",

@@ -10,7 +10,6 @@ import json
 import math
 import os
 import select
-import signal
 import sys
 import traceback
 from pathlib import Path
@@ -23,6 +22,7 @@ from labrun.devices.emulation import Emulator, EmulatorContext, EmulatorLog, Fau
 from labrun.devices.processes import stand_for_hardware
 from labrun.devices.processes.scene import LINGER_S, RemoteScene
 from labrun.errors import LabrunError
+from labrun.interrupts import ignore_signals
 from labrun.registry import load
 
 _LONGEST_WAIT_S = 0.05
@@ -110,8 +110,7 @@ def run(emulator: Emulator, context: EmulatorContext, orders: _Orders) -> None:
 
 def main() -> int:
     """Run the emulator that standard input asks for."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # a bench does not go away because of Ctrl-C
+    ignore_signals()  # a bench does not go away because of Ctrl-C
     orders = _Orders(sys.stdin.fileno())
     task = orders.first()
     try:

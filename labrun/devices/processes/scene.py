@@ -7,7 +7,6 @@ Started as ``python -m labrun.devices.processes.scene`` with one line of JSON on
 import contextlib
 import json
 import os
-import signal
 import sys
 import threading
 from collections.abc import Mapping, Sequence
@@ -21,6 +20,7 @@ from labrun.devices import FloatArray, Scene, Trajectory
 from labrun.devices.clock import RealClock
 from labrun.devices.processes import stand_for_hardware
 from labrun.errors import LabrunError
+from labrun.interrupts import ignore_signals
 from labrun.registry import load
 
 READY = "ready"
@@ -176,7 +176,7 @@ def _compile(scene: Scene) -> None:
 
 def main() -> None:
     """Serve a scene until the runner has ended."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ignore_signals()  # a bench does not go away because of Ctrl-C
     asked = sys.stdin.buffer.readline()
     if not asked:  # the runner ended before it asked for anything
         return

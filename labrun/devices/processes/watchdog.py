@@ -1,4 +1,4 @@
-"""The watchdog: a process of its own that stops the actuators when the runner hangs or dies.
+"""The watchdog: a process of its own that minds the runner, and stops the actuators when it hangs or dies.
 
 Started as ``python -m labrun.devices.processes.watchdog`` by the runner, which talks to it through its standard
 input: first one line of JSON, then single bytes. It imports the actuators' plugins at once, so that nothing is left to
@@ -14,10 +14,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from labrun.interrupts import ignore_signals
 from labrun.registry import load
 
 ARM, DISARM, BEAT, QUIT = b"A", b"D", b".", b"Q"
+NO_CALL, FIRST_CALL, MOST_DEVICES = b"-", 128, 128
+"""No device is waited for; from 128 on, the number of the one that is."""
 READY = "ready"
+_ALARM_SHARE = 0.8
+"""After this share of the time-out the runner is asked to break off the call that hangs; after all of it, killed."""
 _DYING_S = 2.0
 """How long a killed runner may take to let go of its ports."""
 
@@ -51,32 +56,51 @@ def stop_everything(devices: Sequence[Stoppable], why: str) -> list[str]:
     return lines
 
 
-def watch(pipe: int, timeout_s: float, runner_pid: int) -> str | None:
+def watch(
+    pipe: int, timeout_s: float, runner_pid: int, names: Sequence[str], *, may_alarm: bool
+) -> str | None:
     """Follow the runner's signs of life; return why the actuators must be stopped, or None at a regular end.
 
     Only while armed does silence count: a runner that stores or computes for long moves nothing. An end without
-    farewell always counts. A runner that hangs is killed first, so that its ports are free.
+    farewell always counts. A runner that hangs in a device's driver is first sent an alarm, at which it breaks the
+    call off and keeps its data; one that cannot is killed, so that its ports are free.
     """
-    armed = False
+    armed, device, alarmed = False, "", False
     while True:
-        ready, _, _ = select.select([pipe], [], [], timeout_s if armed else None)
+        share = 1.0 if not may_alarm else 1.0 - _ALARM_SHARE if alarmed else _ALARM_SHARE
+        ready, _, _ = select.select([pipe], [], [], share * timeout_s if armed else None)
+        if not ready and may_alarm and not alarmed:
+            alarmed = True
+            _signal(runner_pid, signal.SIGALRM)
+            continue
         if not ready:
             _kill(pipe, runner_pid)
-            return f"the runner gave no sign of life for {timeout_s:g} s and was killed"
+            hangs = f"the driver of {device} hangs; " if device else ""
+            return f"{hangs}the runner gave no sign of life for {timeout_s:g} s and was killed"
         message = os.read(pipe, 4096)
         if not message:
             return "the runner died"
+        alarmed = False
         for byte in message:
             sign = bytes((byte,))
             if sign == QUIT:
                 return None
-            armed = sign == ARM or (armed and sign != DISARM)
+            if sign == NO_CALL:
+                device = ""
+            elif byte >= FIRST_CALL:
+                device = names[byte - FIRST_CALL]
+            else:
+                armed = sign == ARM or (armed and sign != DISARM)
+
+
+def _signal(runner_pid: int, number: int) -> None:
+    if os.getppid() == runner_pid:  # never a stranger that got the number of a runner long gone
+        os.kill(runner_pid, number)
 
 
 def _kill(pipe: int, runner_pid: int) -> None:
     """Kill the runner, and wait until the system has closed its end of the pipe, and with it its ports."""
-    if os.getppid() == runner_pid:  # never a stranger that got the number of a runner long gone
-        os.kill(runner_pid, signal.SIGKILL)
+    _signal(runner_pid, signal.SIGKILL)
     while select.select([pipe], [], [], _DYING_S)[0]:
         if not os.read(pipe, 4096):
             return
@@ -84,8 +108,7 @@ def _kill(pipe: int, runner_pid: int) -> None:
 
 def main() -> int:
     """Run the watchdog until the runner ends."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # Ctrl-C is for the runner; this process outlives it
+    ignore_signals()  # Ctrl-C is for the runner; this process outlives it
     pipe = sys.stdin.fileno()
     line = b""
     while not line.endswith(b"\n"):
@@ -94,12 +117,19 @@ def main() -> int:
             return 0
         line += byte
     task = json.loads(line)
-    devices = [load_stoppable(item["name"], item["plugin"], item["settings"]) for item in task["devices"]]
+    devices = [
+        load_stoppable(item["name"], item["plugin"], item["settings"])
+        for item in task["devices"]
+        if item["moves"]
+    ]
     sys.stdout.write(READY + "\n")
     sys.stdout.flush()
-    why = watch(pipe, task["timeout_s"], task["runner_pid"])
+    names = [item["name"] for item in task["devices"]]
+    why = watch(pipe, task["timeout_s"], task["runner_pid"], names, may_alarm=task["may_alarm"])
     if why is None:
         return 0
+    if not devices:
+        sys.stderr.write(f"labrun watchdog: {why}\n")
     for report in stop_everything(devices, why):
         sys.stderr.write(report + "\n")
     return 0

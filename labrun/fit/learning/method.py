@@ -100,7 +100,7 @@ def known_inverse(name: str) -> str:
             load_inverse(name)
         except PluginError as error:
             raise ValueError(
-                f"an inverse that is installed: {', '.join(registry.names(INVERSES))}"
+                f"expected an inverse that is installed: {', '.join(registry.names(INVERSES))}"
             ) from error
     return name
 
@@ -163,7 +163,7 @@ class DataTable(Keys):
         is both input and output; an output of another dimension; too few samples.
         """
         wanted = joined(self.inputs, self.outputs)
-        signals = load_signals(job.target, wanted, where=self.where, rate_hz=self.rate_hz)
+        signals = load_signals(job.target, wanted, where=self.where, rate_hz=self.rate_hz, check=job.check)
         factors = [_factor(signals.units[name], self.unit, name) for name in self.outputs]
         x = [np.column_stack([trial.values[name] for name in self.inputs]) for trial in signals.trials]
         y = [

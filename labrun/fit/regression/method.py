@@ -3,20 +3,20 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, NonNegativeFloat, PositiveFloat
+from pydantic import BaseModel, Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
-from labrun.estimate import Estimate
+from labrun.estimate import Estimate, rounded
 from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Role, Stack, TextTable
 from labrun.fit.signals import SignalSet, SignalTable, SignalTrial, joined, load_signals, trailing_mean
 from labrun.fit.uncertainty import resample_trials
-from labrun.toml import Keys, suggest
+from labrun.toml import Keys, TableFaults, suggest
 
 BASKETS: dict[str, list[str]] = {
     "a,b": ["a", "b"],
@@ -201,6 +201,8 @@ class LeastSquaresSettings(Keys):
         Length of the blocks that are left out and resampled where there are fewer than three trials.
     largest_condition
         Of X'X: a basket above it is not taken.
+    stated
+        Coefficients known from elsewhere, by output and term; whether the intervals hold them is told.
     """
 
     inputs: Annotated[dict[str, SignalTable], Field(min_length=1)]
@@ -213,6 +215,18 @@ class LeastSquaresSettings(Keys):
     rate_hz: PositiveFloat = 20.0
     block_s: PositiveFloat = 25.0
     largest_condition: PositiveFloat = 1e4
+    stated: dict[str, dict[str, float]] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _states_what_is_fitted(self) -> Self:
+        terms = {term for basket in self.baskets.values() for term in basket}
+        with TableFaults() as faults:
+            for output, known in self.stated.items():
+                if output not in self.outputs:
+                    faults.add(("stated", output), suggest(output, self.outputs, kind="outputs"))
+                for term in known.keys() - terms:
+                    faults.add(("stated", output, term), f"no basket has the term {term!r}")
+        return self
 
 
 class LeastSquaresFit(WithSettings[LeastSquaresSettings]):
@@ -240,7 +254,7 @@ class LeastSquaresFit(WithSettings[LeastSquaresSettings]):
                 "least-squares takes one run", hint="repeat its trials instead: [trial] repeats"
             )
         wanted = joined(settings.inputs, settings.outputs)
-        data = load_signals(job.target, wanted, rate_hz=settings.rate_hz)
+        data = load_signals(job.target, wanted, rate_hz=settings.rate_hz, check=job.check)
         groups = _groups(data, settings)
         raw, matrices = {}, {}
         for name, terms in settings.baskets.items():
@@ -375,7 +389,7 @@ def _summary(study: _Study) -> FitSummary:
         rows = tuple(
             (
                 name, f"{one.mae:.4f}", f"{100 * one.mae / span:.2f}", f"{one.cv:.4f} +- {one.cv_error:.4f}",
-                f"{one.aicc:.1f}", f"{study.conditions[name]:.1e}",
+                f"{one.aicc:.1f}" if np.isfinite(one.aicc) else "-", f"{study.conditions[name]:.1e}",
                 f"{study.ranks[name][0]}/{len(settings.baskets[name])}",
             )
             for name, one in of.items()
@@ -388,6 +402,8 @@ def _summary(study: _Study) -> FitSummary:
     findings = (
         _reason(study),
         f"cross-validation and intervals leave out and resample whole {'trials' if whole else resampled}",
+        *_without_aicc(study),
+        *_beside_stated(study, parameters),
     )
     if whole and len(data.trials) < 5:
         warnings.append(f"intervals rest on {len(data.trials)} trials only and are coarse")
@@ -417,6 +433,39 @@ def _summary(study: _Study) -> FitSummary:
         },
         figure_data=lambda: _figure(study, output_units),
     )
+
+
+def _without_aicc(study: _Study) -> list[str]:
+    """Say why a basket has no AICc, if so."""
+    without = [name for name, one in next(iter(study.solved.values())).items() if not np.isfinite(one.aicc)]
+    if not without:
+        return []
+    listed = ", ".join(f"{{{name}}}" for name in without)
+    return [
+        f"AICc of {listed} needs more trials (or blocks of time) than it has coefficients, by at least three"
+    ]
+
+
+def _beside_stated(study: _Study, parameters: Mapping[str, Estimate]) -> list[str]:
+    """Say of every stated coefficient whether the interval holds it."""
+    told = []
+    for output, known in study.settings.stated.items():
+        for term, value in known.items():
+            estimate = parameters.get(f"{output}: {term}")
+            if estimate is None:
+                continue  # of a basket that was not taken
+            low, high = estimate.ci95
+            found, *ends = rounded(estimate)
+            interval = f"{found} ({' ... '.join(ends)}) {estimate.unit}"
+            if low <= value <= high:
+                told.append(f"{output}: {term} = {interval} agrees with the stated {value:g}")
+            else:
+                off = f"{100 * (estimate.value / value - 1):+.1f} %" if value else f"{estimate.value:+.3g}"
+                told.append(
+                    f"{output}: {term} = {interval} does not hold the stated {value:g}: it is off by {off}, more than "
+                    "trials scatter; the bench differs from the stated law, or the law is not linear in these terms"
+                )
+    return told
 
 
 def _reason(study: _Study) -> str:

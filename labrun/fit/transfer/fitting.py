@@ -29,7 +29,11 @@ _STEP = 1e-5
 _MOST_DEAD = 0.3
 """A dead time is looked for up to this share of the longest trial."""
 _DECADES_BEYOND = 1.5
-"""Time constants are looked for this many decades beyond the sampling step and the longest trial."""
+"""Time constants are searched so many decades below the sampling step and beyond the longest trial."""
+_DECADES_OF_A_LAG = 4.0
+"""The same of a single lag: 10,000 times longer than the record it answers like an integrator."""
+_AT_BOUND = 1e-3
+"""A number within this of a bound of the search, in its own scale, ended there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +47,11 @@ class Shape:
     zeros: int
     dead_time: bool = True
     initial: Initial = "steady"
+
+    @property
+    def is_first_order(self) -> bool:
+        """Tell whether it is a gain and a lag, with or without a dead time."""
+        return (self.poles, self.zeros) == (1, 0)
 
     @property
     def moved(self) -> int:
@@ -279,7 +288,7 @@ def descend(
 
 def bounds(shape: Shape, trials: Sequence[ResponseTrial]) -> tuple[FloatArray, FloatArray]:
     """Return the box that is searched."""
-    shortest, longest = np.log(_shortest_s(trials)), np.log(total_s(trials) * 10.0**_DECADES_BEYOND)
+    shortest, longest = np.log(_shortest_s(trials)), np.log(_longest_s(shape, trials))
     low, high = np.full(shape.moved, shortest), np.full(shape.moved, longest)
     for place in range(0, shape.poles - 1, 2):
         low[place], high[place] = 2.0 * shortest, 2.0 * longest
@@ -293,6 +302,12 @@ def bounds(shape: Shape, trials: Sequence[ResponseTrial]) -> tuple[FloatArray, F
 def _shortest_s(trials: Sequence[ResponseTrial]) -> float:
     """Return the shortest time constant that is looked for."""
     return float(min(trial.step_s for trial in trials) * 10.0**-_DECADES_BEYOND)
+
+
+def _longest_s(shape: Shape, trials: Sequence[ResponseTrial]) -> float:
+    """Return the longest time constant that is searched."""
+    decades = _DECADES_OF_A_LAG if shape.is_first_order else _DECADES_BEYOND
+    return float(total_s(trials) * 10.0**decades)
 
 
 def derivatives(point: CandidatePoint, trials: Sequence[ResponseTrial]) -> list[FloatArray]:
@@ -371,6 +386,25 @@ class TransferFit:
         pairs = zip(self.trials, self.point.simulated(self.trials), strict=True)
         return [(trial.measured - simulated)[trial.used] for trial, simulated in pairs]
 
+    @property
+    def record_s(self) -> float:
+        """Length of the longest trial."""
+        return total_s(self.trials)
+
+    @property
+    def upper_bounds_reached(self) -> NDArray[np.bool_]:
+        """Tell of each number of the search, shape (moved,), whether it ended at its upper bound."""
+        _, high = bounds(self.shape, self.trials)
+        return np.asarray(high - self.point.moved <= _AT_BOUND * _scales(self.shape, self.trials))
+
+    @property
+    def lag_is_open(self) -> bool:
+        """Tell whether the data bound the lag of a first-order fit from below only: an integrator fits as well."""
+        if not self.shape.is_first_order:
+            return False
+        longest_s = (1.0 - _AT_BOUND) * _longest_s(self.shape, self.trials)
+        return float(np.percentile([one.lag_s for one in self.resampled], 97.5)) >= longest_s
+
     def estimate(self, quantity: Callable[[TransferFunction], float], unit: str) -> Estimate:
         """Return any quantity of the transfer function with its 95 % interval."""
         values = [quantity(one) for one in self.resampled]
@@ -397,13 +431,41 @@ def fit_transfer(
     blocks = _BLOCKS if len(parts) == 1 else 0
     if blocks:
         parts = list(zip(*(np.array_split(whole, blocks) for whole in parts[0]), strict=True))
-    information = np.array([j.T @ j for j, _ in parts])
-    score = np.array([j.T @ r for j, r in parts])
+    outlasts_record = shape.is_first_order and np.exp(point.numbers[0]) > total_s(trials)
+    change = _by_rate_and_slope(point.numbers) if outlasts_record else np.eye(shape.size)
+    information = np.array([change.T @ j.T @ j @ change for j, _ in parts])
+    score = np.array([change.T @ j.T @ r for j, r in parts])
     drawn = resample_trials(information, score, rng=rng, resamples=1000).draws
     farthest = np.where(np.arange(shape.size) < shape.poles, _FARTHEST, np.inf)
     draws = point.numbers + np.clip(drawn, -farthest, farthest)
+    if outlasts_record:
+        draws = _drawn_by_rate_and_slope(point.numbers, drawn, _longest_s(shape, trials))
     fitted, *others = (transfer_of(shape, numbers, **names) for numbers in (point.numbers, *draws))
     return TransferFit(shape, tuple(trials), point, fitted, draws, tuple(others), blocks)
+
+
+def _by_rate_and_slope(numbers: FloatArray) -> FloatArray:
+    """Return d(numbers)/d(numbers with 1/lag and gain/lag in place of log(lag) and gain), (size, size).
+
+    Of a lag beyond the record the data tell the slope gain/lag and how fast it falls off. The answer is nearly linear
+    in these, and they are told apart; log(lag) and gain are not.
+    """
+    lag_s, gain = np.exp(numbers[0]), numbers[-1]
+    change = np.eye(len(numbers))
+    change[0, 0], change[-1, 0], change[-1, -1] = -lag_s, -gain * lag_s, lag_s
+    return change
+
+
+def _drawn_by_rate_and_slope(numbers: FloatArray, drawn: FloatArray, longest_s: float) -> FloatArray:
+    """Return draws of a first-order fit's `numbers`, (b, size), from what draws add to its 1/lag and gain/lag.
+
+    A draw whose answer does not fall off at all has the longest lag that is searched.
+    """
+    lag_s = np.exp(numbers[0])
+    draws = numbers + drawn
+    rates = np.maximum(1.0 / lag_s + drawn[:, 0], 1.0 / longest_s)
+    draws[:, 0], draws[:, -1] = -np.log(rates), (numbers[-1] / lag_s + drawn[:, -1]) / rates
+    return np.asarray(draws)
 
 
 def best_fit(

@@ -1,7 +1,7 @@
 """The fits fopdt (gain, lag, dead time from steps) and transfer-function: signals they take, and what they say."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field, NonNegativeFloat, PositiveFloat, model_va
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate, rounded
+from labrun.fit.dataset import DataCheck, unchecked
 from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.fit.signals import SignalSet, SignalTable, SignalTrial, load_signals
@@ -115,6 +116,9 @@ def _estimates(fit: TransferFit) -> dict[str, Estimate]:
     found = {"gain": fit.estimate(lambda one: one.gain, unit)}
     if first_order:
         found["lag"] = fit.estimate(lambda one: one.lag_s, "s")
+    if fit.lag_is_open:
+        found = {key: _open_ended(one) for key, one in found.items()}
+        found["gain_over_lag"] = _gain_over_lag(fit)
     for letter, above, most in (("b", f"{unit} ", fit.shape.zeros), ("a", "", fit.shape.poles)):
         for power in range(1, 0 if first_order else most + 1):
             seconds = "s" if power == 1 else f"s^{power}"
@@ -122,6 +126,17 @@ def _estimates(fit: TransferFit) -> dict[str, Estimate]:
     if fit.shape.dead_time:
         found["dead_time"] = fit.estimate(lambda one: one.dead_s, "s")
     return found
+
+
+def _open_ended(estimate: Estimate) -> Estimate:
+    """Return an estimate whose interval ends at infinity on the side away from zero."""
+    low, high = estimate.ci95
+    return replace(estimate, ci95=(low, np.inf) if estimate.value > 0 else (-np.inf, high))
+
+
+def _gain_over_lag(fit: TransferFit) -> Estimate:
+    """Return the slope of the answer to a unit step, which a record much shorter than the lag does tell."""
+    return fit.estimate(lambda one: one.gain / one.lag_s, f"{fit.transfer.gain_unit}/s")
 
 
 def _coefficient(letter: str, power: int) -> Callable[[TransferFunction], float]:
@@ -192,7 +207,8 @@ def warnings_of(fit: TransferFit, name: str) -> list[str]:
             for zero in fit.transfer.zeros
             if abs(pole - zero) < _CLOSE * abs(pole)
         ]
-    if np.any(np.std(fit.draws, axis=0)[:poles] > 1.0):
+    said += _bounds_reached(fit)
+    if not fit.lag_is_open and np.any(np.std(fit.draws, axis=0)[:poles] > 1.0):
         said.append(
             f"the data do not determine {poles} poles: a coefficient of the denominator varies by "
             "more than its value between resamples; record a faster input, more trials, or fit fewer poles"
@@ -203,9 +219,33 @@ def warnings_of(fit: TransferFit, name: str) -> list[str]:
     return [f"{name}: {one}" for one in said + _told_apart(fit)]
 
 
+def _bounds_reached(fit: TransferFit) -> list[str]:
+    """Return a warning for each number that the record bounds on one side only."""
+    said, reached, poles = [], fit.upper_bounds_reached, fit.shape.poles
+    if fit.lag_is_open:
+        least = fit.estimate(lambda one: one.lag_s, "s").ci95[0]
+        slope, low, high = rounded(_gain_over_lag(fit))
+        said.append(
+            f"the record is too short to tell the lag: {fit.record_s:.3g} s tell that it is at least {least:.3g} s; "
+            f"gain/lag = {slope} ({low} ... {high}) {fit.transfer.gain_unit}/s is what it tells; record longer after "
+            "the step"
+        )
+    elif np.any(reached[:poles]):
+        said.append(
+            f"a coefficient of the denominator ended at its upper bound: the record of {fit.record_s:.3g} s is too "
+            "short to tell the slowest time constant; record longer, or fit a pole less"
+        )
+    if fit.shape.dead_time and reached[poles]:
+        said.append(
+            f"the dead time ended at its upper bound of {fit.transfer.dead_s:.3g} s, a share of the record's "
+            f"{fit.record_s:.3g} s: record longer, or check that this output answers this input"
+        )
+    return said
+
+
 def _told_apart(fit: TransferFit) -> list[str]:
     """Return a warning where the data know the sum of lag and dead time much better than either."""
-    if not (fit.transfer.is_first_order and fit.shape.dead_time and len(fit.draws)):
+    if not (fit.shape.is_first_order and fit.shape.dead_time) or fit.lag_is_open:
         return []
     lag = fit.estimate(lambda transfer: transfer.lag_s, "s")
     dead = fit.estimate(lambda transfer: transfer.dead_s, "s")
@@ -320,7 +360,9 @@ class ResponseTable(Keys):
     to_s: PositiveFloat | None = None
 
 
-def load_response(target: Path, table: ResponseTable) -> tuple[SignalSet, list[ResponseTrial]]:
+def load_response(
+    target: Path, table: ResponseTable, check: DataCheck = unchecked
+) -> tuple[SignalSet, list[ResponseTrial]]:
     """Load input and output of every trial that the table admits.
 
     The magnitude of a force at rest is that of its noise, never zero. So what is loaded as magnitude is the force along
@@ -335,7 +377,7 @@ def load_response(target: Path, table: ResponseTable) -> tuple[SignalSet, list[R
     wanted = {"input": given, "output": along}
     if output.take != "value":
         wanted["side"] = along.model_copy(update={"channel": output.side_channel, "scale": output.side_scale})
-    signals = load_signals(target, wanted, where=table.where)
+    signals = load_signals(target, wanted, where=table.where, check=check)
     hold = _stated_hold(target, given.channel)
     same: dict[bytes, FloatArray] = {}
     trials = []
@@ -482,7 +524,7 @@ def _fitted(
     fits = {}
     for name, table in responses.items():
         job.note(f"fitting {name}")
-        signals, trials = load_response(job.target, table)
+        signals, trials = load_response(job.target, table, job.check)
         fits[name] = fit_transfer(
             trials,
             shape,

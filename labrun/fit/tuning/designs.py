@@ -106,7 +106,7 @@ class ControllerDesign:
 
     def over(self, loops: Sequence[OpenLoop]) -> Spread:
         """Return how the margins vary over loops around other plants."""
-        found = [margins(self.gains, loop, refine=False) for loop in loops]
+        found = [margins(self.gains, loop) for loop in loops]
         gain = np.array([one.gain if one.stable else min(one.gain, 1.0) for one in found])
         phase = np.array([one.phase_deg if one.stable else 0.0 for one in found])
         unstable = float(np.mean([not one.stable for one in found]))

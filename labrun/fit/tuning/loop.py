@@ -1,7 +1,6 @@
 """The loop as it runs on a bench, exactly: gains, plant, samples; and how far it is from instability."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -16,13 +15,15 @@ ComplexArray = NDArray[np.complex128]
 
 _SHORT = 1e-6
 """A mean over less than this part of a step is the output itself: the difference of two integrals would be rounding."""
-_SLOW, _FAST = 1e-3, 300.0
+_SLOW, _FAST = 1e-4, 300.0
 """Frequencies looked at, over the slowest and the fastest time of the loop."""
 _TURN_RAD = 0.05
 """Most that the dead time may turn the response from one frequency to the next."""
 _TURNING = 100.0
 """Up to this frequency times the delay; beyond it a loop's gain is small or the same all the way round."""
 _PER_DECADE = 200
+_SPLINE_STRIDE = 4
+"""Every so many points of that grid carry the cubic spline that python-control interpolates with, to some 1e-7."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,33 +314,39 @@ class Margins:
     phase_crossover_rad_s: float
 
 
-def margins(gains: Gains, loop: OpenLoop, *, refine: bool = True) -> Margins:
-    """Return the margins of a loop with its controller.
+def margins(gains: Gains, loop: OpenLoop) -> Margins:
+    """Return the margins of a loop with its controller, by python-control from its exact frequency response.
 
     The plant must be stable: then a loop of small gain, driving the right way, is stable, and it stays so up to the
-    gain at which its curve first passes through -1. That holds for dead times of any length. `refine`: find crossings
-    exactly; without, they are interpolated on the grid, to some 1e-4: for many plants.
+    gain at which its curve first passes through -1. That holds for dead times of any length.
     """
-    omega, response = loop.grid_rad_s, loop.grid_response
-    curve = gains.frequency_response(omega, loop.step_s) * response
+    import control
 
-    def at(frequency: float) -> complex:
-        if not refine:
-            return complex(np.interp(frequency, omega, curve))
-        point = np.array([frequency])
-        return complex((gains.frequency_response(point, loop.step_s) * loop.frequency_response(point))[0])
-
-    gain, oscillates = _gain_margin(omega, curve, at, refine=refine, sampled=loop.rate_hz is not None)
+    omega, curve = (
+        loop.grid_rad_s,
+        gains.frequency_response(loop.grid_rad_s, loop.step_s) * loop.grid_response,
+    )
+    used = slice(None, _last_decisive(curve) + 1, _SPLINE_STRIDE)
+    response = control.FRD(curve[used], omega[used], smooth=True)
+    gain_margins, phases_deg, distances, oscillations, crossovers, _ = control.stability_margins(
+        response, returnall=True
+    )
+    gain, oscillates = min(zip(gain_margins, oscillations, strict=True), default=(math.inf, math.inf))
+    # at the Nyquist frequency the curve of samples ends on the real axis
+    if loop.rate_hz is not None and curve[-1].real < 0 and -1.0 / curve[-1].real < gain:
+        gain, oscillates = -1.0 / curve[-1].real, omega[-1]
     # a gain that drives the wrong way is not stable at any size where the loop settles by it
     wrong_way = gains.i_per_s * loop.gain < 0 or (gains.i_per_s == 0 and 1.0 + gains.p * loop.gain <= 0)
-    phase_deg, delay_s, crossover = math.inf, math.inf, 0.0
-    for frequency in _crossings(omega, np.abs(curve) - 1.0, (lambda w: abs(at(w)) - 1.0) if refine else None):
-        angle = math.degrees(np.angle(at(frequency))) % 360.0  # 180 is -1
-        phase_deg = min(phase_deg, abs(angle - 180.0))
-        delay_s = min(delay_s, math.radians((angle - 180.0) % 360.0) / frequency)
-        crossover = max(crossover, frequency)
-    stable, least = gain > 1.0 and not wrong_way, _sensitivity(omega, curve, at)
-    return Margins(stable, gain, phase_deg, delay_s, least, crossover, oscillates)
+    least = float(min(*distances, np.min(np.abs(1.0 + curve)), math.inf))
+    return Margins(
+        stable=bool(gain > 1.0 and not wrong_way),
+        gain=float(gain),
+        phase_deg=float(np.min(np.abs(phases_deg), initial=math.inf)),
+        delay_s=float(np.min(np.radians(phases_deg % 360.0) / crossovers, initial=math.inf)),
+        sensitivity=1.0 / least if least > 0 else math.inf,
+        crossover_rad_s=float(np.max(crossovers, initial=0.0)),
+        phase_crossover_rad_s=float(oscillates),
+    )
 
 
 def ultimate(loop: OpenLoop) -> tuple[float, float]:
@@ -383,45 +390,16 @@ def allowed_gain(
     return limit
 
 
-def _gain_margin(
-    omega: FloatArray, curve: ComplexArray, at: Callable[[float], complex], *, refine: bool, sampled: bool
-) -> tuple[float, float]:
-    """Return gain margin and its frequency: where the curve crosses the negative axis farthest out."""
-    reach, where = 0.0, math.inf
-    for frequency in _crossings(omega, curve.imag, (lambda w: at(w).imag) if refine else None):
-        value = at(frequency)
-        if value.real < 0 and -value.real > reach:
-            reach, where = -value.real, frequency
-    # at the Nyquist frequency the curve of samples ends on the real axis
-    if sampled and -curve[-1].real > reach:
-        reach, where = -float(curve[-1].real), float(omega[-1])
-    return (1.0 / reach if reach > 0 else math.inf), where
+def _last_decisive(curve: ComplexArray) -> int:
+    """Return the index in an open loop's curve, (n,), beyond which no margin can lie.
 
-
-def _crossings(
-    omega: FloatArray, values: FloatArray, function: Callable[[float], float] | None
-) -> list[float]:
-    """Return where a function that has been sampled changes its sign; without it, where a straight line would."""
-    from scipy.optimize import brentq
-
-    changes = np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0)
-    if function is None:
-        share = values[changes] / (values[changes] - values[changes + 1])
-        return [float(w) for w in omega[changes] + share * (omega[changes + 1] - omega[changes])]
-    found = []
-    for index in changes:
-        low, high = float(omega[index]), float(omega[index + 1])
-        if function(low) * function(high) < 0:
-            found.append(float(brentq(function, low, high, xtol=1e-12 * high)))
-    return found
-
-
-def _sensitivity(omega: FloatArray, curve: ComplexArray, at: Callable[[float], complex]) -> float:
-    from scipy.optimize import minimize_scalar
-
-    distance = np.abs(1.0 + curve)
-    worst = int(np.argmin(distance))
-    low, high = float(omega[max(worst - 1, 0)]), float(omega[min(worst + 1, len(omega) - 1)])
-    found = minimize_scalar(lambda w: abs(1.0 + at(w)), bounds=(low, high), method="bounded")
-    least = min(float(found.fun), float(distance[worst]))
-    return 1.0 / least if least > 0 else math.inf
+    Where the curve's phase first passes 180 deg, the loop reaches as far along the negative real axis as the curve is
+    large there. A point farther along the curve than any that is as large, or of size 1, comes nearer to -1 nowhere.
+    """
+    size, phase_rad = np.abs(curve), np.unwrap(np.angle(curve))
+    beyond = np.flatnonzero(np.abs(phase_rad) >= np.pi)
+    if not len(beyond):
+        return len(curve) - 1
+    reach = float(np.min(size[max(beyond[0] - 1, 0) : beyond[0] + 1]))
+    last = int(np.flatnonzero(size >= min(1.0, reach))[-1])
+    return min(last + 2 * _SPLINE_STRIDE, len(curve) - 1)

@@ -43,7 +43,7 @@ def tables(study: Study) -> tuple[TextTable, ...]:
             figures = one.figures
             off = f"{100 * figures.steady_error:.1f} %"
             steps.append((
-                name, f"{100 * figures.overshoot:.1f} %", _number(figures.settling_s), off,
+                name, f"{100 * figures.overshoot:.1f} %", _settling(figures.settling_s), off,
                 _number(figures.peak_drive), _number(one.noise_gain),
             ))  # fmt: skip
     found_tables = [
@@ -94,6 +94,10 @@ def _number(value: float) -> str:
     return "0" if value == 0 else f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
 
 
+def _settling(value: float) -> str:
+    return "not in time" if math.isinf(value) else _number(value)
+
+
 def _margin(value: float) -> str:
     return "none" if math.isinf(value) else _number(value)
 
@@ -101,8 +105,10 @@ def _margin(value: float) -> str:
 def _interval(ends: tuple[float, float], decimals: int) -> str:
     if all(math.isinf(end) for end in ends):
         return ""  # the margin beside it says none
-    low, high = ("none" if math.isinf(end) else f"{end:.{decimals}f}" for end in ends)
-    return f"{low} ... {high}"
+    low, high = ends
+    if math.isinf(high):
+        return f"{low:.{decimals}f} or more"  # some of the resampled plants have nothing to lose
+    return f"{low:.{decimals}f} ... {high:.{decimals}f}"
 
 
 def findings(study: Study) -> list[str]:

@@ -1,8 +1,9 @@
 """A robot from an MJCF or URDF file alone: what drives it, what is measured, and a site at every joint."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,6 +12,7 @@ import numpy as np
 from labrun.errors import ModelError
 from labrun.models.finding import model_files_like
 from labrun.models.mjcf.plant import imported
+from labrun.models.mjcf.soundness import check_inertias, require_links
 from labrun.toml import suggest
 
 _REFERENCE = "what each element takes: https://mujoco.readthedocs.io/en/stable/XMLreference.html"
@@ -159,7 +161,9 @@ class Robot:
     sensors: Mapping[str, tuple[str, ...]]
 
 
-def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | None = None) -> Robot:
+def read_robot(
+    path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | None = None, *, repair: bool = False
+) -> Robot:
     """Read an MJCF or URDF file.
 
     Meshes that are missing, and contacts, are left out; what is left out is said in the remarks.
@@ -171,14 +175,18 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
     drives
         Joints that get an actuator: a position servo of unknown gains, or a torque; ``"undriven"``: a servo for every
         joint that nothing drives.
+    repair
+        Whether an inertia that no body can have is replaced by the nearest possible one.
 
     Raises
     ------
     ModelError
-        MuJoCo is not installed or cannot read the file, or a body's mass would have come from a missing mesh.
+        MuJoCo is not installed or cannot read the file, a body's mass would have come from a missing mesh, or no body
+        can have an inertia of the file.
     """
     mujoco = imported()
     spec, remarks = robot_spec(path)
+    remarks += check_inertias(spec, path, repair=repair)
     model = _compile(spec, path)
     _without_assets(spec, path, ())
     if np.any(model.geom_contype) or np.any(model.geom_conaffinity) or model.npair:
@@ -206,7 +214,7 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
     unknown = set(wanted) - {joint.name for joint in simple}
     if unknown:
         raise ModelError(f"{path} has no hinge or slide {', '.join(sorted(unknown))} that could be driven")
-    _add_actuators(spec, model, wanted)
+    added = _add_actuators(spec, model, wanted)
     for kind, words in (("position", "a position servo of unknown gains"), ("torque", "a torque")):
         names = [name for name, one in wanted.items() if one == kind]
         if names:
@@ -215,11 +223,14 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
     if model.neq:
         kept = "1 equality constraint is" if model.neq == 1 else f"{model.neq} equality constraints are"
         remarks.append(f"{kept} kept; MuJoCo holds them softly")
+    joints = _joints(mujoco, simple, model)
+    actuators = _actuators(mujoco, spec, joints, added)
+    remarks += _crossed(actuators, joints)
     return Robot(
         name=re.sub(r"[^A-Za-z0-9_-]", "-", spec.modelname or path.stem),
         xml=mjcf_text(spec),
-        joints=tuple(_joint(mujoco, joint, model) for joint in simple),
-        actuators=tuple(_actuator(mujoco, spec, one, wanted) for one in spec.actuators),
+        joints=joints,
+        actuators=actuators,
         remarks=tuple(remarks),
         bodies=tuple(
             body.name for body in spec.bodies[1:] if body.name and identifier(body.name) == body.name
@@ -271,6 +282,7 @@ def robot_spec(path: Path) -> tuple[Any, list[str]]:
         like = model_files_like(path)
         hint = suggest(str(path), like) if like else f"looked from {Path.cwd()}"
         raise ModelError(f"there is no robot file {path}", hint=hint)
+    require_links(path)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
@@ -351,19 +363,24 @@ def _compile(spec: Any, path: Path) -> Any:
         raise refusal(path, error, doing="build") from None
 
 
-def _add_actuators(spec: Any, model: Any, drives: Mapping[str, Drive]) -> None:
+def _add_actuators(spec: Any, model: Any, drives: Mapping[str, Drive]) -> set[str]:
     """Give joints a torque, or a servo whose gains fit the inertia that each joint sees where the robot begins.
 
     What brakes a servo is put into its joint, where it is fitted: the motion shows no more than the sum. The inertia of
-    a rotor of which the file says nothing is fitted as well; that of a servo from a matched gear's on.
+    a rotor of which the file says nothing is fitted as well; that of a servo from a matched gear's on. Return the names
+    of the actuators: that of the joint, or another one where an actuator of that name drives something else.
     """
+    taken, added = {actuator.name for actuator in spec.actuators}, set()
     mujoco = imported()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, full, data.qM) if hasattr(data, "qM") else mujoco.mj_fullM(model, data, full)
     for name, kind in drives.items():
-        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        called = _free(name, taken, "servo" if kind == "position" else "motor")
+        taken.add(called)
+        added.add(called)
+        actuator = spec.add_actuator(name=called, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         if kind == "torque":
             actuator.set_to_motor()
             continue
@@ -375,37 +392,94 @@ def _add_actuators(spec: Any, model: Any, drives: Mapping[str, Drive]) -> None:
         omega = 2 * np.pi * SERVO_HZ
         actuator.set_to_position(kp=inertia * omega**2)
         joint.damping = [max(2 * SERVO_DAMPING * inertia * omega, joint.damping[0]), *joint.damping[1:]]
+    return added
 
 
-def _joint(mujoco: Any, joint: Any, model: Any) -> RobotJoint:
-    number = model.joint(joint.name).id
-    ends = tuple(float(one) for one in model.jnt_range[number]) if model.jnt_limited[number] else None
-    unit = "rad" if joint.type == mujoco.mjtJoint.mjJNT_HINGE else "m"
-    sprung = bool(np.any(model.jnt_stiffness[number]))
-    return RobotJoint(joint.name, identifier(joint.name), unit, ends, sprung)  # type: ignore[arg-type]
+def _joints(mujoco: Any, joints: Collection[Any], model: Any) -> tuple[RobotJoint, ...]:
+    outputs: list[str] = []
+    made = []
+    for joint in joints:
+        number = model.joint(joint.name).id
+        ends = tuple(float(end) for end in model.jnt_range[number]) if model.jnt_limited[number] else None
+        unit = "rad" if joint.type == mujoco.mjtJoint.mjJNT_HINGE else "m"
+        sprung = bool(np.any(model.jnt_stiffness[number]))
+        # the rate of a joint is a state as well
+        taken = {*outputs, *(f"{output}_rate" for output in outputs)}
+        output = _free(identifier(joint.name), taken)
+        outputs.append(output)
+        made.append(RobotJoint(joint.name, output, unit, ends, sprung))  # type: ignore[arg-type]
+    return tuple(made)
 
 
-def _actuator(mujoco: Any, spec: Any, actuator: Any, added: Collection[str]) -> RobotActuator:
-    on_joint = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
-    joint = next((one for one in spec.joints if on_joint and one.name == actuator.target), None)
-    slides = joint is not None and joint.type == mujoco.mjtJoint.mjJNT_SLIDE
-    command = _command(mujoco, actuator)
-    units: dict[Command, str] = {
-        "position": "m" if slides else "rad", "velocity": "m/s" if slides else "rad/s",
-        "torque": "1" if joint is None else "N" if slides else "N m", "geared": "1",
-        "other": "1",
-    }  # fmt: skip
-    name = actuator.name if joint is None else joint.name
-    sole = sum(one.target == actuator.target for one in spec.actuators) == 1
-    stem = identifier(name if sole else actuator.name)
-    return RobotActuator(
-        actuator.name,
-        f"{stem}_{_SUFFIX[command]}",
-        "" if joint is None else joint.name,
-        command,
-        units[command],
-        actuator.name in added,
-    )
+def _actuators(
+    mujoco: Any, spec: Any, joints: Collection[RobotJoint], added: Collection[str]
+) -> tuple[RobotActuator, ...]:
+    taken = {name for joint in joints for name in (joint.output, f"{joint.output}_rate")}
+    made = []
+    for actuator in spec.actuators:
+        on_joint = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
+        joint = next((one for one in joints if on_joint and one.name == actuator.target), None)
+        slides = joint is not None and joint.unit == "m"
+        command = _command(mujoco, actuator)
+        units: dict[Command, str] = {
+            "position": "m" if slides else "rad", "velocity": "m/s" if slides else "rad/s",
+            "torque": "1" if joint is None else "N" if slides else "N m", "geared": "1",
+            "other": "1",
+        }  # fmt: skip
+        sole = (
+            sum(one.target == actuator.target and one.trntype == actuator.trntype for one in spec.actuators)
+            == 1
+        )
+        stem = joint.output if joint is not None and sole else identifier(actuator.name)
+        if joint is None and any(stem == one.output for one in joints):
+            stem += f"_{_transmission(mujoco, actuator)}"
+        input_ = _free(f"{stem}_{_SUFFIX[command]}", taken)
+        taken.add(input_)
+        made.append(
+            RobotActuator(
+                actuator.name,
+                input_,
+                "" if joint is None else joint.name,
+                command,
+                units[command],
+                actuator.name in added,
+            )
+        )
+    return tuple(made)
+
+
+def _transmission(mujoco: Any, actuator: Any) -> str:
+    """Return through what an actuator acts that drives no joint alone: ``tendon``, ``site``, ``body``."""
+    return str(mujoco.mjtTrn(actuator.trntype).name).removeprefix("mjTRN_").lower()
+
+
+def _crossed(actuators: Collection[RobotActuator], joints: Collection[RobotJoint]) -> list[str]:
+    """Return what is said of actuators that are named like a joint and drive another one, or none alone."""
+    names = {joint.name for joint in joints}
+    return [
+        f"actuator {actuator.name} does not drive joint {actuator.name}, but "
+        f"{f'joint {actuator.joint}' if actuator.joint else 'a tendon or site'}: its control is {actuator.input}"
+        for actuator in actuators
+        if actuator.name in names and actuator.joint != actuator.name
+    ]
+
+
+def _free(name: str, taken: Collection[str], suffix: str = "") -> str:
+    """Return a name that is not taken: with a suffix, or with the next number."""
+    if name not in taken:
+        return name
+    stem = f"{name}_{suffix}" if suffix else name
+    if suffix and stem not in taken:
+        return stem
+    return next(f"{stem}_{number}" for number in count(2) if f"{stem}_{number}" not in taken)
+
+
+def identifiers(names: Iterable[str]) -> dict[str, str]:
+    """Return names that equations can use, a different one for each name."""
+    made: dict[str, str] = {}
+    for name in names:
+        made[name] = _free(identifier(name), made.values())
+    return made
 
 
 def _command(mujoco: Any, actuator: Any) -> Command:

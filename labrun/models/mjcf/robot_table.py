@@ -7,7 +7,7 @@ import numpy as np
 
 from labrun.models.mjcf.inverse import JointDrive, RobotTerms, far_end, robot_terms, tip_body
 from labrun.models.mjcf.plant import imported
-from labrun.models.mjcf.robot import Robot, RobotJoint, identifier
+from labrun.models.mjcf.robot import Robot, RobotJoint, identifiers
 
 ROLL, PITCH, LOAD = "base_roll", "base_pitch", "tip_load"
 """Parameters of the model file: rad about x, rad about y, kg."""
@@ -168,7 +168,7 @@ def _lines(
         yield f'{one.input} = {{ mjcf = "actuator.{one.name}", unit = "{one.unit}", between = "{between}" }}'
     terms = robot_terms(robot.xml, [one.name for one in robot.joints])
     parameters, equations = around(
-        robot.xml, {body: f"{identifier(body)}_mass" for body in heavy_bodies(robot.xml)}
+        robot.xml, {body: f"{stem}_mass" for body, stem in identifiers(heavy_bodies(robot.xml)).items()}
     )
     yield "[parameters]"
     yield from _parameters(robot, terms, equations)
@@ -205,6 +205,11 @@ def _only_drive(robot: Robot, terms: RobotTerms, joint: str) -> JointDrive | Non
     return terms.drives.get(joint) if sum(one.joint == joint for one in robot.actuators) == 1 else None
 
 
+def _stems(robot: Robot) -> dict[str, str]:
+    """Return what the parameters of each actuator are called after."""
+    return identifiers(actuator.name for actuator in robot.actuators)
+
+
 def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
     """Return the equation of what a joint's drive puts on it: the load of effects in gear and drive; "" if unknown."""
     if drive is None:
@@ -214,7 +219,7 @@ def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
     efforts = {
         "torque": f"{drive.gear!r}*{found.input}",
         "geared": f"{drive.gear!r}*{found.input}",
-        "position": f"{identifier(found.name)}_kp*({found.input} - {joint.output}){braked}",
+        "position": f"{_stems(robot)[found.name]}_kp*({found.input} - {joint.output}){braked}",
     }
     effort = efforts.get(found.command, "")
     low, high = drive.limits
@@ -246,7 +251,7 @@ def _parameters(robot: Robot, terms: RobotTerms, set_elsewhere: Collection[str])
         if actuator.command != "position":
             continue
         tolerance = _FREE if actuator.added else str(_GAIN_TOLERANCE)
-        stem, unit = identifier(actuator.name), actuator.unit
+        stem, unit = _stems(robot)[actuator.name], actuator.unit
         force = "N m" if unit == "rad" else "N"
         yield (
             f'{stem}_kp = {{ mjcf = "actuator.{actuator.name}.kp", tolerance = {tolerance}, '
@@ -258,9 +263,11 @@ def _parameters(robot: Robot, terms: RobotTerms, set_elsewhere: Collection[str])
                 f"# its kv of {drive.kv:g} stays: motion shows no more than its sum with the joint's damping, "
                 "which is fitted for both"
             )
-    for name, mass in heavy_bodies(robot.xml).items():
+    masses = heavy_bodies(robot.xml)
+    stems = identifiers(masses)
+    for name, mass in masses.items():
         place = f"body.{name}.mass"
         value = f"value = {mass!r}" if place in set_elsewhere else f'mjcf = "{place}"'
         yield (
-            f'{identifier(name)}_mass = {{ {value}, tolerance = {_MASS_TOLERANCE}, unit = "kg", lower = 1e-6 }}'
+            f'{stems[name]}_mass = {{ {value}, tolerance = {_MASS_TOLERANCE}, unit = "kg", lower = 1e-6 }}'
         )

@@ -45,7 +45,7 @@ class Joint(Keys):
     def _pulses_ascend(self) -> "Joint":
         low, high = self.pulse_us
         if not PULSE_US[0] <= low < high <= PULSE_US[1]:
-            raise ValueError(f"pulse_us: [low, high] within {PULSE_US[0]} ... {PULSE_US[1]} us")
+            raise ValueError(f"expected pulse_us = [low, high] within {PULSE_US[0]} ... {PULSE_US[1]} us")
         return self
 
     def exact_pulse_us(self, angle_deg: FloatArray) -> FloatArray:
@@ -134,18 +134,22 @@ def channels_of(joints: Mapping[str, Joint], pins: tuple[int, ...]) -> dict[str,
     named = {joint: table.pin for joint, table in joints.items() if table.pin is not None}
     if not named:
         if len(joints) > len(pins):
-            raise ValueError(f"{len(joints)} joints, and the firmware drives {len(pins)} pins: {pins}")
+            raise ValueError(
+                f"{len(joints)} joints are more than the {len(pins)} pins that the firmware drives: {pins}"
+            )
         return {joint: number for number, joint in enumerate(joints)}
     channels: dict[str, int] = {}
     for joint in joints:
         pin = named.get(joint)
         if pin is None:
-            raise ValueError(f"joint {joint} names no pin, and others do")
+            raise ValueError(
+                f"joint {joint} names no pin, but other joints do; name a pin for each, or for none"
+            )
         if pin not in pins:
             raise ValueError(f"pin {pin} of joint {joint} is none of the firmware's pins {pins}")
         other = next((one for one, channel in channels.items() if pins[channel] == pin), None)
         if other is not None:
-            raise ValueError(f"joints {other} and {joint} both have pin {pin}")
+            raise ValueError(f"joints {other} and {joint} both have pin {pin}; give each a pin of its own")
         channels[joint] = pins.index(pin)
     return channels
 

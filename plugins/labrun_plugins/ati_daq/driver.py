@@ -187,6 +187,7 @@ class AtiDaq(ListeningSensor):
     def __init__(self, name: str, settings: AtiDaqSettings, context: DeviceContext) -> None:
         super().__init__(name, SIX_AXES, settings.rate_hz, context.clock)
         self.settings = settings
+        self.zero_known = any(settings.bias_v)
         make = SocketReader if settings.reader == "socket" else NidaqmxReader
         self._reader: VoltageReader = make(name, context.clock, settings)
         self._card: Card | None = None

@@ -57,9 +57,9 @@ mounted_on = "body"                    # what it is glued on"""
         try:
             count = len(bytes.fromhex(text))
         except ValueError:
-            raise ValueError(f"bytes in hexadecimal, such as 'FE FF 0C ...', and {text!r} is none") from None
+            raise ValueError(f"{text!r} is not hexadecimal; expected bytes such as 'FE FF 0C ...'") from None
         if count != OFFSET_BYTES:
-            raise ValueError(f"{OFFSET_BYTES} bytes, and these are {count}")
+            raise ValueError(f"expected {OFFSET_BYTES} bytes; these are {count}")
         return text
 
     @property

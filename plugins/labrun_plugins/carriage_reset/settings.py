@@ -47,7 +47,7 @@ limits   = { travel_m = [0, 1], speed_m_s = 0.2 }"""
     @model_validator(mode="after")
     def _ends_differ(self) -> "CarriageResetSettings":
         if abs(self.end_us - self.start_us) < 10:
-            raise ValueError("start_us and end_us: at least 10 us apart, or the line does not move")
+            raise ValueError("start_us and end_us are less than 10 us apart: the line would not move")
         travel = self.limits.travel_m
         if travel is not None and not -_SLACK_M <= travel[0] < travel[1] <= self.stroke_m + _SLACK_M:
             raise ValueError(

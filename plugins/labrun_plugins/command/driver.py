@@ -141,6 +141,7 @@ class Command:
     Settings: ClassVar[type[DeviceSettings]] = CommandSettings
     stand_in: ClassVar[str] = "command"
     joints: tuple[str, ...] = ()
+    zero_known: ClassVar[bool] = True
 
     def __init__(self, name: str, settings: CommandSettings, context: DeviceContext) -> None:
         self.name = name

@@ -340,6 +340,9 @@ class DynamixelEmulator:
             first.warm(TEMPERATURE_C, now_s)
         if self._faults.active("overcurrent"):
             first.suffer(OVERLOADED, now_s)
+        if self._faults.take("restart"):  # the supply was gone for a moment
+            for servo in self._servos:
+                servo.restart(now_s)
         if self._faults.take("watchdog"):
             for servo in self._servos:
                 servo.trip(now_s)

@@ -88,7 +88,7 @@ limits = { angle_deg = [-90, 90], speed_deg_s = 180 }"""
     def _known_baud(cls, baud: int) -> int:
         if baud not in BAUD_CODES:
             raise ValueError(
-                f"one of {', '.join(str(known) for known in BAUD_CODES)}, the rates of a Dynamixel"
+                f"expected one of {', '.join(str(known) for known in BAUD_CODES)}, the rates of a Dynamixel"
             )
         return baud
 
@@ -97,21 +97,21 @@ limits = { angle_deg = [-90, 90], speed_deg_s = 180 }"""
     def _whole_steps(cls, value: int, info: object) -> int:
         step = WATCHDOG_STEP_MS if getattr(info, "field_name", "") == "watchdog_ms" else 2
         if value % step:
-            raise ValueError(f"a multiple of {step}, in which the servo counts")
+            raise ValueError(f"expected a multiple of {step}, in which the servo counts")
         return value
 
     @field_validator("position_gains")
     @classmethod
     def _gains_fit(cls, gains: tuple[int, int, int] | None) -> tuple[int, int, int] | None:
         if gains is not None and not all(0 <= gain <= 16_383 for gain in gains):
-            raise ValueError("P, I and D from 0 to 16383")
+            raise ValueError("expected P, I and D from 0 to 16383")
         return gains
 
     @field_validator("feedback")
     @classmethod
     def _each_once(cls, quantities: tuple[Quantity, ...]) -> tuple[Quantity, ...]:
         if len(set(quantities)) != len(quantities):
-            raise ValueError("each quantity once")
+            raise ValueError("a quantity occurs twice; name each once")
         return quantities
 
     @model_validator(mode="after")
@@ -120,7 +120,9 @@ limits = { angle_deg = [-90, 90], speed_deg_s = 180 }"""
         for joint, table in self.joints.items():
             other = owners.setdefault(table.id, joint)
             if other != joint:
-                raise ValueError(f"joints {other} and {joint} both have id {table.id}")
+                raise ValueError(
+                    f"joints {other} and {joint} both have id {table.id}; give each servo an id of its own"
+                )
         return self
 
     def channels(self) -> tuple[Channel, ...]:

@@ -155,6 +155,8 @@ class LinearStage:
     """
 
     Settings: ClassVar[type[DeviceSettings]] = LinearStageSettings
+    zero_known: ClassVar[bool] = True
+    """A calibration states the counts at zero force."""
 
     def __init__(self, name: str, settings: LinearStageSettings, context: DeviceContext) -> None:
         self.name = name

@@ -131,14 +131,14 @@ class Calibration(BaseModel):
     def _one_way(self) -> Self:
         listed = bool(self.masses_kg or self.counts)
         if listed == (self.slope_n_per_count is not None):
-            raise ValueError("either slope_n_per_count and offset_counts, or masses_kg and counts")
+            raise ValueError("expected either slope_n_per_count and offset_counts, or masses_kg and counts")
         if listed:
             try:
                 least_squares(self.masses_kg, self.counts, self.gravity_m_s2)
             except ValueError as error:
-                raise ValueError(f"masses_kg and counts that make a line; {error}") from error
+                raise ValueError(f"masses_kg and counts make no line: {error}") from error
         elif self.slope_n_per_count == 0.0:
-            raise ValueError("a slope_n_per_count other than 0: such a cell measures nothing")
+            raise ValueError("slope_n_per_count is 0: such a cell measures nothing")
         return self
 
     @property
@@ -211,21 +211,21 @@ limits = { travel_m = [-0.027, 0.027], speed_m_s = 0.005, force_n = 7, angle_deg
     @model_validator(mode="after")
     def _holds_together(self) -> Self:
         if not 0.0 <= self.zero_mm <= self.stroke_mm:
-            raise ValueError(
-                f"zero_mm inside the stroke, 0 ... {self.stroke_mm:g} mm; it is {self.zero_mm:g}"
-            )
+            raise ValueError(f"zero_mm = {self.zero_mm:g} is outside the stroke, 0 ... {self.stroke_mm:g} mm")
         travel, whole = self.limits.travel_m, self.whole_travel_m
         if travel is not None and not _inside(travel, whole):
             raise ValueError(
-                f"limits.travel_m inside the stroke, which about zero_mm = {self.zero_mm:g} is "
-                f"[{whole[0]:g}, {whole[1]:g}] m; it is [{travel[0]:g}, {travel[1]:g}]"
+                f"limits.travel_m = [{travel[0]:g}, {travel[1]:g}] leaves the stroke, which about "
+                f"zero_mm = {self.zero_mm:g} is [{whole[0]:g}, {whole[1]:g}] m"
             )
         if self.limits.force_n is not None:
             if self.calibration is None:
-                raise ValueError("a calibration besides limits.force_n: without one there are no newtons")
+                raise ValueError(
+                    "limits.force_n needs a calibration: without one the cell gives counts, not newtons"
+                )
             if self.calibration.line.most_counts(self.limits.force_n) == 0:
                 raise ValueError(
-                    f"limits.force_n above the offset of the load cell; it is {self.limits.force_n:g}: "
+                    f"limits.force_n = {self.limits.force_n:g} is below the offset of the load cell; "
                     "balance the cell, or raise the limit"
                 )
         self._check_joint()
@@ -240,15 +240,15 @@ limits = { travel_m = [-0.027, 0.027], speed_m_s = 0.005, force_n = 7, angle_deg
                 least_m, most_m = lever_m * math.radians(least_deg), lever_m * math.radians(most_deg)
                 if not _inside((least_m, most_m), (low, high)):
                     raise ValueError(
-                        f"limits.angle_deg that asks for no more travel than [{low:g}, {high:g}] m; on this lever "
-                        f"[{least_deg:g}, {most_deg:g}] deg are [{least_m:.4g}, {most_m:.4g}] m"
+                        f"limits.angle_deg = [{least_deg:g}, {most_deg:g}] is [{least_m:.4g}, {most_m:.4g}] m of "
+                        f"travel on this lever, and the stage has [{low:g}, {high:g}] m; lower the limit"
                     )
             if self.limits.speed_deg_s is not None:
                 asked_mm_s = 1e3 * lever_m * math.radians(self.limits.speed_deg_s)
                 if asked_mm_s > 1e3 * self.fastest_m_s * (1 + _NM):
                     raise ValueError(
-                        f"limits.speed_deg_s that asks for no more than {1e3 * self.fastest_m_s:g} mm/s; on this "
-                        f"lever {self.limits.speed_deg_s:g} deg/s are {asked_mm_s:.4g} mm/s"
+                        f"limits.speed_deg_s = {self.limits.speed_deg_s:g} is {asked_mm_s:.4g} mm/s on this lever, "
+                        f"and the stage reaches {1e3 * self.fastest_m_s:g} mm/s; lower the limit"
                     )
 
     @property

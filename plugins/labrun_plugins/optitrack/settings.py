@@ -23,7 +23,7 @@ class Angle(Keys):
     @model_validator(mode="after")
     def _has_direction(self) -> "Angle":
         if not any(self.axis):
-            raise ValueError("axis is a direction; [0, 0, 0] is none")
+            raise ValueError("expected a direction; [0, 0, 0] has none")
         return self
 
 
@@ -89,7 +89,7 @@ angles  = { angle = { body = "arm", axis = [0, 1, 0] } }"""
     @classmethod
     def _is_multicast(cls, group: str | None) -> str | None:
         if group is not None and not IPv4Address(group).is_multicast:
-            raise ValueError(f"a multicast group, and {group} is not among 224.0.0.0 ... 239.255.255.255")
+            raise ValueError(f"{group} is no multicast group; expected 224.0.0.0 ... 239.255.255.255")
         return group
 
     @model_validator(mode="after")
@@ -105,5 +105,7 @@ angles  = { angle = { body = "arm", axis = [0, 1, 0] } }"""
             raise ValueError(fault)
         for body in self.markers:
             if body not in self.bodies:
-                raise ValueError(f"markers of body {body!r}, which is not among bodies {list(self.bodies)}")
+                raise ValueError(
+                    f"markers names body {body!r}, which is not among bodies {list(self.bodies)}"
+                )
         return self

@@ -25,6 +25,7 @@ class SimulatedAtiDaq(SimulatedForceTorque):
     model = "ATI Mini40, analogue (simulated)"
 
     def __init__(self, name: str, settings: SimulatedAtiDaqSettings, context: DeviceContext) -> None:
+        self.zero_known = any(settings.bias_v)
         resolution = tuple(end / _STEPS for end in _FULL_SCALE)
         axes = SixAxes(
             full_scale=_FULL_SCALE,

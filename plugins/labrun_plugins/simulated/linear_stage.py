@@ -50,6 +50,7 @@ class SimulatedLinearStage(SimulatedCarriage, SimulatedSensor):
     Settings: ClassVar[type[DeviceSettings]] = SimulatedLinearStageSettings
     model = "stepper stage with load cell (simulated)"
     needs = ("force", "position")
+    zero_known = True
 
     def __init__(self, name: str, settings: SimulatedLinearStageSettings, context: DeviceContext) -> None:
         timing = Timing(

@@ -56,7 +56,7 @@ state  = "long"                        # where no condition `beam` says otherwis
         if self.state is not None and self.state not in self.states:
             raise ValueError(f"state = {self.state!r} is none of states {list(self.states)}")
         if abs(self.pulled_us - self.released_us) < 10:
-            raise ValueError("released_us and pulled_us: at least 10 us apart, or nothing is pulled")
+            raise ValueError("released_us and pulled_us are less than 10 us apart: nothing would be pulled")
         return self
 
     @property

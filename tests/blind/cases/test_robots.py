@@ -76,9 +76,9 @@ def test_what_is_hidden_changes_the_torque(effect):
     q, rate, goal = 0.3 * np.sin(6 * time_s), 1.8 * np.cos(6 * time_s), 0.4 * np.sin(6 * time_s + 0.3)
     size = {"elastic-transmission": 400.0, "torque-speed-limit": 2.0, "loop-delay": 0.01}.get(effect, 0.2)
     hidden = joint(effect, size)
-    plain = 40.0 * (goal - q) - 2.0 * rate
-    torque = [hidden.torque(*one) for one in zip(time_s, goal, q, rate, strict=True)]
-    assert np.std(torque - plain) > 0.02 * np.std(plain)
+    plain, planned = 40.0 * (goal - q) - 2.0 * rate, 5.0 * np.cos(q)
+    torque = [hidden.torque(*one) for one in zip(time_s, goal, q, rate, planned, strict=True)]
+    assert np.sqrt(np.mean((torque - plain) ** 2)) > 0.02 * np.std(plain)
 
 
 def test_play_keeps_what_is_measured_half_its_width_behind():
@@ -87,6 +87,42 @@ def test_play_keeps_what_is_measured_half_its_width_behind():
     measured = np.array([hidden.measured(float(one)) for one in path])
     assert measured[49] == pytest.approx(0.09)
     assert measured[-1] == pytest.approx(-0.09)
+
+
+def test_an_integral_adds_up_the_error_that_a_step_saw_in_its_middle():
+    hidden = joint("integral-term", 0.5)
+    for _ in range(200):  # each step asks at its beginning and in its middle, dt is half of it
+        hidden.torque(0.0, 0.1, 0.0, 0.0)
+    assert hidden.torque(0.0, 0.1, 0.0, 0.0) == pytest.approx(
+        40.0 * 0.1 * (1.0 + 200 * STEP_S / 0.5), rel=1e-9
+    )
+
+
+def test_a_profile_takes_the_drive_to_its_goal_within_its_limits():
+    hidden = joint("motion-profile", 0.4)
+    ramp_s = hidden.shape["ramp_s"]
+    torque = np.array([hidden.torque(0.0, 1.0 * (k > 0), 0.0, 0.0) for k in range(3000)])
+    place = torque / 40.0
+    assert np.max(np.diff(place)) <= 0.8 * STEP_S * (1 + 1e-9)
+    whole_s = 1.0 / 0.8 + ramp_s
+    assert place[1 + round(whole_s / STEP_S / 2)] == pytest.approx(0.5, abs=2e-3)
+    assert place[-1] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_link_with_play_is_not_held_within_it():
+    hidden = joint("drive-play", 0.1)
+    assert [hidden.torque(0.0, 0.0, 0.0, 0.0), hidden.torque(0.0, 0.0, 0.04, 0.0)] == [0.0, 0.0]
+    assert hidden.torque(0.0, 0.0, 0.06, 0.0) < 0.0
+
+
+@pytest.mark.parametrize("effect", ["gravity-compensation", "dynamics-feedforward"])
+def test_a_controller_that_knows_the_torque_holds_its_joint_at_the_goal(effect):
+    body = draw(np.random.default_rng(0))
+    goal, link = np.full((150, len(body.links)), 0.3), body.links[1]
+    knowing = Joint(link.kp, link.kv, link.armature, 0.5 * STEP_S, 1.0, {effect: 1.0}, {})
+    with_it, without = (case.run(body, goal, drives)[0][-1, 1] - 0.3 for drives in ({1: knowing}, {}))
+    assert abs(without) > 1e-3
+    assert abs(with_it) < 0.1 * abs(without)
 
 
 def test_a_delayed_goal_acts_a_delay_later():

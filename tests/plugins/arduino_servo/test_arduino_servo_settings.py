@@ -18,8 +18,11 @@ from labrun.errors import DeviceError, LimitExceededError
     [
         ({"joints": {"a": {"pin": 3}, "b": {"pin": 3}}}, "joints a and b both have pin 3"),
         ({"joints": {"a": {"pin": 4}}}, r"pin 4 of joint a is none of the firmware's pins \(3, 5, 6, 9\)"),
-        ({"joints": {"a": {"pin": 3}, "b": {}}}, "joint b names no pin, and others do"),
-        ({"joints": {name: {} for name in "abcde"}}, "5 joints, and the firmware drives 4 pins"),
+        ({"joints": {"a": {"pin": 3}, "b": {}}}, "joint b names no pin, but other joints do"),
+        (
+            {"joints": {name: {} for name in "abcde"}},
+            "5 joints are more than the 4 pins that the firmware drives",
+        ),
         ({"pins": [3, 3]}, "names a pin twice"),
         ({"joints": {"a": {"pulse_us": [400, 2000]}}}, "within 500 ... 2500 us"),
         ({"joints": {"a": {"pulse_us": [2000, 1000]}}}, "within 500 ... 2500 us"),

@@ -409,6 +409,6 @@ def test_a_fast_turn_is_believed_if_the_gyroscope_tells_of_it_and_else_not():
 def test_offsets_are_22_bytes_in_hexadecimal():
     good = Bno055Settings(port="p", mounted_on="base", offsets="00 01 " * 11)
     assert good.offset_bytes == bytes((0, 1)) * 11
-    for wrong, message in (("zz", "hexadecimal"), ("00 01", "22 bytes, and these are 2")):
+    for wrong, message in (("zz", "hexadecimal"), ("00 01", "22 bytes; these are 2")):
         with pytest.raises(ValueError, match=message):
             Bno055Settings(port="p", mounted_on="base", offsets=wrong)

@@ -84,7 +84,7 @@ def test_a_pull_to_the_start_winds_holds_and_pays_the_line_out_again(bench):
         (0.9, 0.1, "travel 0.9 m is above the limit of 0.8 m"),
         (-0.1, 0.1, "below the limit"),
         (0.5, 0.45, "above the limit of 0.4 m/s"),
-        (0.5, 0.0, "the speed is above zero"),
+        (0.5, 0.0, "the speed must be above zero"),
         (math.nan, 0.1, "cannot travel"),
         (0.5, math.inf, "cannot travel"),
     ],

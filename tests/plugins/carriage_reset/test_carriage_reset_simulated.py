@@ -56,7 +56,7 @@ def _winch(position_m=0.5, **keys):
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"start_us": 1500, "end_us": 1505}, "at least 10 us apart"),
+        ({"start_us": 1500, "end_us": 1505}, "less than 10 us apart"),
         ({"limits": {"travel_m": [0, 2]}}, "reaches beyond the line"),
         ({"hold_s": 0.1}, "greater than or equal to 1"),
         ({"start_us": 400}, "greater than or equal to 500"),

@@ -46,7 +46,7 @@ def _line(ends_deg, duration_s=1.0, points=51):
         ({"watchdog_ms": 110}, "a multiple of 20"),
         ({"return_delay_us": 3}, "a multiple of 2,"),
         ({"position_gains": [1, 2, 99_999]}, "from 0 to 16383"),
-        ({"feedback": ["angle", "angle"]}, "each quantity once"),
+        ({"feedback": ["angle", "angle"]}, "name each once"),
         ({"joints": {"a": {"id": 1}, "b": {"id": 1}}}, "joints a and b both have id 1"),
     ],
 )

@@ -87,18 +87,18 @@ def test_a_calibration_that_does_not_hold_is_refused(table):
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"zero_mm": 70}, "inside the stroke, 0 ... 60 mm; it is 70"),
-        ({"limits": {"travel_m": [-0.04, 0.0]}}, "inside the stroke, which about zero_mm"),
-        ({"limits": {"force_n": 5}}, "a calibration besides"),
-        ({"limits": {"force_n": 0.05}, "calibration": LINE}, "above the offset"),
+        ({"zero_mm": 70}, "zero_mm = 70 is outside the stroke, 0 ... 60 mm"),
+        ({"limits": {"travel_m": [-0.04, 0.0]}}, "leaves the stroke, which about zero_mm"),
+        ({"limits": {"force_n": 5}}, "limits.force_n needs a calibration"),
+        ({"limits": {"force_n": 0.05}, "calibration": LINE}, "below the offset"),
         (
             {
                 "limits": {"angle_deg": [-15, 15], "travel_m": [-0.026, 0.026]},
                 "joints": {"a": {"lever_mm": 100}},
             },
-            "asks for no more travel than",
+            "of travel on this lever, and the stage has",
         ),
-        ({"limits": {"speed_deg_s": 6}, "joints": {"a": {"lever_mm": 100}}}, "no more than 10 mm/s"),
+        ({"limits": {"speed_deg_s": 6}, "joints": {"a": {"lever_mm": 100}}}, "the stage reaches 10 mm/s"),
         ({"watchdog_ms": 0}, "greater than or equal to 20"),
         ({"rate_hz": 200}, "less than or equal to 80"),
         ({"joints": {"a": {"lever_mm": 10}, "b": {"lever_mm": 10}}}, "at most 1"),

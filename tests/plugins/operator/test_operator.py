@@ -4,6 +4,7 @@ import io
 import os
 import pty
 import select
+import signal
 import threading
 from types import SimpleNamespace
 
@@ -13,9 +14,9 @@ from labrun_plugins.operator.driver import Operator, OperatorSettings
 
 from labrun.devices import Actuator, DeviceContext, Terminal, Trajectory
 from labrun.errors import DeviceError, LimitExceededError
+from labrun.interrupts import Interrupts
 from labrun.runner import Bench, Interrupted, RealClock, Rig
 from labrun.runner.resolve import ResolvedDevice
-from labrun.runner.safety import StopRequest
 
 KEYS = {"instruction": "Hold {joint} at {angle_deg} deg {and still}", "limits": {"angle_deg": [-90, 90]}}
 
@@ -201,7 +202,7 @@ def test_a_run_that_is_interrupted_does_not_wait_for_the_person(person):
     driver = person.make()
     item = ResolvedDevice("hinge", "operator", lambda *_: driver, OperatorSettings.model_validate(KEYS))
     rig = Rig([item], clock=person.clock, seed=1, scene=None, dry_run=True)
-    stop = StopRequest()
+    stop = Interrupts()
     bench = Bench(rig, person.clock, check_stop=stop.check, beat=lambda: None)
     ended = []
 
@@ -214,7 +215,7 @@ def test_a_run_that_is_interrupted_does_not_wait_for_the_person(person):
     thread = threading.Thread(target=move, daemon=True)
     thread.start()
     assert person.sees("Press Enter")
-    stop.reason = "Ctrl-C"
+    stop.number = signal.SIGINT
     rig.safe_stop()
     thread.join(5.0)
     assert ended

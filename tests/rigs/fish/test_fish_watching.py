@@ -8,12 +8,12 @@ from labrun.devices import Trajectory
 from labrun.errors import ExperimentError
 
 
-def watched(heading, x=None, beating=None, seconds=40.0):
+def watched(heading, x=None, beating=None, seconds=40.0, distance_m=1.0):
     time_s = np.linspace(0.0, seconds, 4001)
     course = np.column_stack(
         [x(time_s) if x else np.zeros_like(time_s), np.zeros_like(time_s), heading(time_s)]
     )
-    watch = Watch()
+    watch = Watch(distance_m)
     watch.look(time_s, course, np.ones(len(time_s)) if beating is None else beating(time_s))
     return watch
 
@@ -41,9 +41,14 @@ def test_less_than_a_turn_is_timed_over_what_there_is():
     assert watch.read("seconds_per_turn", 0.0) == pytest.approx(80.0, rel=1e-3)
 
 
-def test_a_metre_is_timed_and_a_fish_that_stays_does_not_swim():
+@pytest.mark.parametrize("distance_m", [0.5, 1.0, 3.0])
+def test_the_measured_distance_is_timed_after_the_fish_is_up_to_speed(distance_m):
+    watch = watched(lambda t: 0.0 * t, x=lambda t: 0.25 * np.clip(t - 10.0, 0.0, None), distance_m=distance_m)
+    assert watch.read("seconds_over_distance", 0.0) == pytest.approx(distance_m / 0.25, abs=0.05)
+
+
+def test_a_fish_that_stays_does_not_swim():
     watch = watched(lambda t: 0.0 * t, x=lambda t: 0.25 * t)
-    assert watch.read("seconds_per_metre", 0.0) == pytest.approx(4.0, abs=0.05)
     assert watch.read("swims", 0.0) == "yes"
     assert watched(lambda t: 0.0 * t, x=lambda t: 0.001 * t).read("swims", 0.0) == "no"
 

@@ -105,6 +105,23 @@ def test_an_uncertain_body_is_told_and_not_dragged_along() -> None:
     assert f"stiffness by up to {196 * heavier:.2g} %, damping by up to 5.9 %" in told
 
 
+def test_intervals_cover_a_body_that_is_off_by_as_much_as_its_tolerance_says() -> None:
+    wrong = parse_model(
+        BODY.format(
+            inertia=1.03 * INERTIA, gravity=0.97 * GRAVITY, inertia_tolerance=0.03, gravity_tolerance=0.03
+        ),
+        "b",
+    )
+    rng = np.random.default_rng(0)
+    found = fit_hinge(swings(noise_rad=1e-3), wrong, rng=rng).parameters
+    exact = fit_hinge(swings(noise_rad=1e-3), wrong, rng=rng, body_in_intervals=False).parameters
+    for way in ("", "_fourier"):
+        for name, truth in (("stiffness", STIFFNESS), ("damping", DAMPING)):
+            low, high = found[name + way].ci95
+            assert low < truth < high
+            assert not exact[name + way].ci95[0] < truth < exact[name + way].ci95[1]
+
+
 def test_the_told_effect_of_the_body_is_what_a_wrong_body_does() -> None:
     heavy = parse_model(
         BODY.format(inertia=1.03 * INERTIA, gravity=GRAVITY, inertia_tolerance=0.0, gravity_tolerance=0.0),

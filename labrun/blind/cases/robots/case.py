@@ -61,14 +61,27 @@ def run(
     kp = np.array([one.kp for one in body.links])
     kv = np.array([one.kv for one in body.links])
     for place, joint in drives.items():
-        if "elastic-transmission" in joint.sizes:
+        if joint.two_masses:
             model.dof_armature[place] = 1e-3 * joint.armature
     data = mujoco.MjData(model)
+    weighed = any("gravity-compensation" in joint.sizes for joint in drives.values())
+    moved = (
+        _asked(model, goal)
+        if any("dynamics-feedforward" in joint.sizes for joint in drives.values())
+        else None
+    )
 
     def accelerations(time_s: float, goal: FloatArray, q: FloatArray, rate: FloatArray) -> FloatArray:
-        torque = kp * (goal - q) - kv * rate
+        torque, planned = kp * (goal - q) - kv * rate, np.zeros(len(kp))
+        if moved is not None:
+            planned = moved[min(int(time_s / SAMPLE_S), len(moved) - 1)]
+        if weighed:
+            data.qpos[:], data.qvel[:] = q, 0.0
+            mujoco.mj_forward(model, data)
+            weight = data.qfrc_bias.copy()
         for place, joint in drives.items():
-            torque[place] = joint.torque(time_s, goal[place], q[place], rate[place])
+            known = weight[place] if "gravity-compensation" in joint.sizes else planned[place]
+            torque[place] = joint.torque(time_s, goal[place], q[place], rate[place], known)
         data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q, rate, torque
         mujoco.mj_forward(model, data)
         found: FloatArray = data.qacc.copy()
@@ -92,6 +105,21 @@ def run(
     if not np.isfinite(angles).all() or np.abs(angles).max() > 6.0:
         raise FloatingPointError("the robot left the finite numbers")
     return angles, speeds, torques
+
+
+def _asked(model: Any, goal: FloatArray) -> FloatArray:
+    """Return the torques that the motion of the goals asks for, (n, joints): inertia, rates, weight and damping."""
+    import mujoco
+
+    data, asked = mujoco.MjData(model), np.zeros_like(goal)
+    rates = np.gradient(goal, SAMPLE_S, axis=0)
+    for row, (q, rate, push) in enumerate(
+        zip(goal, rates, np.gradient(rates, SAMPLE_S, axis=0), strict=True)
+    ):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, rate, push
+        mujoco.mj_inverse(model, data)
+        asked[row] = data.qfrc_inverse
+    return asked
 
 
 MASS_OFF, GAIN_OFF = 0.03, 0.05
@@ -177,14 +205,24 @@ def _hidden(
         link = body.links[place]
         found[place] = Joint(
             link.kp, link.kv, link.armature, 0.5 * STEP_S, rate,
-            {effect: draw_size(effect, rng, torque, travel)}, draw_shape(rng),
+            {effect: draw_size(effect, rng, torque, travel, rate)}, draw_shape(rng),
         )  # fmt: skip
     return found, {}
 
 
 def _drives(hidden: dict[int, Joint]) -> dict[int, Joint]:
     return {
-        place: replace(joint, _late={}, _motor=None, _middle=None, _played=None, _bristle=0.0)
+        place: replace(
+            joint,
+            _late={},
+            _motor=None,
+            _middle=None,
+            _played=None,
+            _bristle=0.0,
+            _sum=0.0,
+            _sum_middle=None,
+            _profile=None,
+        )
         for place, joint in hidden.items()
     }
 

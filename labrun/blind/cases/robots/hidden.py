@@ -1,5 +1,6 @@
 """What can be hidden in a joint: forms of their own, in another shape than the library's where there is one."""
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,9 +10,16 @@ import numpy as np
 EFFECTS = (
     "coulomb-friction", "stribeck-friction", "load-dependent-friction", "gear-efficiency", "cogging",
     "torque-speed-limit", "warming-friction", "elastic-transmission", "loop-delay", "delay", "play",
-    "drive-gain",
+    "drive-gain", "drive-play", "gravity-compensation", "dynamics-feedforward", "integral-term", "motion-profile",
+    "torque-limit", "asymmetric-damping", "constant-force",
 )  # fmt: skip
 """By the name that a right answer gives."""
+KNOWN_TO_THE_CONTROLLER = ("gravity-compensation", "dynamics-feedforward")
+
+
+_PROFILE_STEPS = 20
+_STIFF = 30.0
+"""How much stiffer a gear is, once its play is taken up, than the servo's gain."""
 
 
 @dataclass
@@ -38,16 +46,28 @@ class Joint:
     _middle: list[float] | None = None
     _late: dict[str, deque[float]] = field(default_factory=dict)
     _played: float | None = None
+    _sum: float = 0.0
+    _sum_middle: float | None = None
+    _profile: tuple[float, float] | None = None
 
-    def torque(self, t: float, goal: float, q: float, rate: float) -> float:
-        """Return what drive and friction put on the link."""
+    @property
+    def two_masses(self) -> bool:
+        """Tell whether its motor is a body of its own."""
+        return "elastic-transmission" in self.sizes or "drive-play" in self.sizes
+
+    def torque(self, t: float, goal: float, q: float, rate: float, planned: float = 0.0) -> float:
+        """Return what drive and friction put on the link; `planned` is the torque its controller may know of."""
         sizes = self.sizes
         if "delay" in sizes:
             goal = self._delayed("delay", goal, sizes["delay"])
-        spring = sizes.get("elastic-transmission", 0.0)
-        if spring:
-            return self._elastic(goal, q, rate, spring)
+        if "motion-profile" in sizes:
+            goal = self._profiled(goal, sizes["motion-profile"] * self.rate_scale)
+        if self.two_masses:
+            return self._elastic(goal, q, rate)
         drive = self.kp * (goal - q) - self.kv * rate
+        drive += planned * sum(sizes.get(effect, 0.0) for effect in KNOWN_TO_THE_CONTROLLER)
+        if "integral-term" in sizes:
+            drive += self._integrated(self.kp * (goal - q) / sizes["integral-term"])
         if "loop-delay" in sizes:
             drive = self._delayed("loop", drive, sizes["loop-delay"])
         drive *= 1.0 + sizes.get("drive-gain", 0.0)
@@ -56,7 +76,14 @@ class Joint:
             free = self.shape["free"] * self.rate_scale
             upper, lower = stall * max(1.0 - rate / free, 0.0), -stall * max(1.0 + rate / free, 0.0)
             drive = min(max(drive, min(lower, 0.0)), max(upper, 0.0))
-        out = drive
+        if "torque-limit" in sizes:
+            # a current controller rounds the corner a little
+            limit = sizes["torque-limit"]
+            drive /= (1.0 + abs(drive / limit) ** 24) ** (1.0 / 24)
+        out = drive + sizes.get("constant-force", 0.0)
+        if "asymmetric-damping" in sizes:
+            slow = 0.01 * self.rate_scale
+            out -= sizes["asymmetric-damping"] * (np.hypot(rate, slow) - slow)
         if "gear-efficiency" in sizes:
             loss = sizes["gear-efficiency"]
             slow = rate / np.hypot(rate, 0.004 * self.rate_scale)
@@ -92,14 +119,40 @@ class Joint:
             self._bristle + 0.3 * np.sqrt(reach / max(self.rate_scale, 1e-9)) * rate / self.rate_scale
         )
 
-    def _elastic(self, goal: float, q: float, rate: float, spring: float) -> float:
+    def _integrated(self, slope: float) -> float:
+        """Return an integral by the midpoint rule: as it is, and in turn as it is in the middle of a step."""
+        if self._sum_middle is None:
+            self._sum_middle = self._sum + self.dt * slope
+            return self._sum
+        value, self._sum_middle = self._sum_middle, None
+        self._sum += 2.0 * self.dt * slope
+        return value
+
+    def _profiled(self, goal: float, top: float) -> float:
+        """Return the drive's own set-point, and move it on: as fast as it may, braking in time to rest at the goal."""
+        place, speed = self._profile or (goal, 0.0)
+        now, h = place, self.dt / _PROFILE_STEPS
+        slope = top / self.shape["ramp_s"]
+        for _ in range(_PROFILE_STEPS):
+            ahead = goal - place
+            wanted = math.copysign(min(math.sqrt(2.0 * slope * abs(ahead)), top), ahead)
+            before, speed = speed, speed + min(max(wanted - speed, -slope * h), slope * h)
+            place += 0.5 * h * (before + speed)
+        self._profile = (place, speed)
+        return now
+
+    def _elastic(self, goal: float, q: float, rate: float) -> float:
+        """Return what a motor behind a spring, or behind play and a stiff spring, puts on the link."""
+        spring = self.sizes.get("elastic-transmission", _STIFF * self.kp)
+        half = 0.5 * self.sizes.get("drive-play", 0.0)
         if self._motor is None:
             self._motor = [q, rate]
         # the midpoint rule, as the links: it asks at the beginning and in the middle of a step in turn. A motor that
         # only used where each half began was early by half of it, a quarter of a millisecond
         angle, speed = self._motor if self._middle is None else self._middle
         damper = self.shape["damper"] * np.sqrt(spring * self.armature)
-        through = spring * (angle - q) + damper * (speed - rate)
+        bent = angle - q - min(max(angle - q, -half), half)
+        through = spring * bent + (damper * (speed - rate) if bent or not half else 0.0)
         pushed = (self.kp * (goal - angle) - self.kv * speed - through) / self.armature
         begin, ahead = self._motor, self.dt if self._middle is None else 2.0 * self.dt
         there = [begin[0] + ahead * speed, begin[1] + ahead * pushed]
@@ -111,7 +164,7 @@ class Joint:
 
     def measured(self, q: float) -> float:
         """Return what the logged encoder sees."""
-        if self._motor is not None:
+        if self._motor is not None and "elastic-transmission" in self.sizes:
             return self._motor[0]
         if "play" in self.sizes:
             half = self.sizes["play"] / 2
@@ -130,8 +183,8 @@ class Joint:
         return share * line[0] + (1 - share) * line[1]
 
 
-def draw_size(effect: str, rng: np.random.Generator, torque: float, travel: float) -> float:
-    """Return a size that such joints have, SI."""
+def draw_size(effect: str, rng: np.random.Generator, torque: float, travel: float, rate: float) -> float:
+    """Return a size that such joints have, SI: a profile's in units of the joint's peak speed."""
     share = float(np.exp(rng.uniform(np.log(0.5), np.log(2.0))))
     return {
         "coulomb-friction": 0.08 * torque * share,
@@ -146,6 +199,14 @@ def draw_size(effect: str, rng: np.random.Generator, torque: float, travel: floa
         "delay": 0.012 * share,
         "play": 0.012 * travel * share,
         "drive-gain": float(rng.choice([-1.0, 1.0])) * 0.4 * min(share, 1.2),
+        "drive-play": 0.03 * travel * share,
+        "gravity-compensation": min(share, 1.0),
+        "dynamics-feedforward": min(share, 1.0),
+        "integral-term": 0.6 * share,
+        "motion-profile": 0.8 * share,
+        "torque-limit": torque * float(rng.uniform(0.5, 0.9)),
+        "asymmetric-damping": float(rng.choice([-1.0, 1.0])) * 0.05 * torque * share / max(rate, 1e-6),
+        "constant-force": float(rng.choice([-1.0, 1.0])) * 0.08 * torque * share,
     }[effect]
 
 
@@ -158,4 +219,5 @@ def draw_shape(rng: np.random.Generator) -> dict[str, Any]:
         "phase": float(rng.uniform(0, 2 * np.pi)),
         "warm_s": float(rng.uniform(10.0, 25.0)),
         "damper": float(rng.uniform(0.02, 0.1)),
+        "ramp_s": float(rng.uniform(0.1, 0.4)),
     }

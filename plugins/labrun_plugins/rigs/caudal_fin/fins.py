@@ -1,8 +1,15 @@
-"""How much each fin of Table 5.2 pushes."""
+"""The fins of Table 5.2: which there are, how a condition names one, and how much each pushes."""
+
+from collections.abc import Mapping
 
 import numpy as np
+from pydantic import PositiveFloat
 
 from labrun.errors import SpecError
+from labrun_plugins.simulated.bench import BenchSettings
+
+Fin = tuple[str, float, str]
+"""Material, thickness in mm, and size."""
 
 BEST_N = 0.551
 """Mean thrust of the fin the source took, large, 1.016 mm of polyester, at 60 deg and 1.4 Hz: the tank's own gain."""
@@ -16,6 +23,30 @@ POLYESTER_N = {
 """Table 5.2, N over thickness in mm."""
 ACRYLIC_MM, ACRYLIC_N = 6.35, 0.1983
 """The acrylic tail, which was made in one size, counted as small."""
+
+
+class FinSettings(BenchSettings):
+    """The fin that is mounted.
+
+    Attributes
+    ----------
+    material, thickness_mm, fin
+        "polyester" or "acrylic", how thick, "large" or "small", see `thrust_n`; conditions of these names change it.
+    """
+
+    material: str = "polyester"
+    thickness_mm: PositiveFloat = 1.016
+    fin: str = "large"
+
+
+def named_fin(condition: Mapping[str, float | str], mounted: Fin) -> Fin:
+    """Return the fin that a condition names by ``material``, ``thickness_mm`` and ``fin``; else what is mounted."""
+    material, thickness_mm, fin = mounted
+    return (
+        str(condition.get("material", material)),
+        float(condition.get("thickness_mm", thickness_mm)),
+        str(condition.get("fin", fin)),
+    )
 
 
 def thrust_n(material: str, thickness_mm: float, fin: str) -> float:

@@ -10,7 +10,7 @@ from pydantic import PositiveFloat
 from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.models import Stepper, kernel
-from labrun_plugins.rigs.caudal_fin.fins import BEST_N, thrust_n
+from labrun_plugins.rigs.caudal_fin.fins import BEST_N, Fin, FinSettings, named_fin, thrust_n
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
@@ -35,7 +35,7 @@ _AMPLITUDE_DEAD_S = 0.28 - _TIP_LAG_S
 
 The servo's does not come on top: a tail at rest is at half its stroke's speed before the servo has caught up.
 """
-_QUARTER_S = 0.25 / _BEST_HZ
+QUARTER_S = 0.25 / _BEST_HZ
 """A rate and the one this long before it give the amplitude at any moment of a stroke (best frequency)."""
 _SCALE = Scale(coordinate=1.0, rate=0.5, acceleration=5.0, force=0.3, signal=0.5, time_s=2.0)
 _NOT_IN_THE_STEP_MODELS = ("echo", "left_over", "bend")
@@ -44,21 +44,16 @@ _OF_THE_FIN = ("thrust_gain", "vortices")
 """Parameters that grow with the thrust of the fin."""
 
 
-class CaudalTankSettings(BenchSettings):
+class CaudalTankSettings(FinSettings):
     """The bar, and the fin.
 
     Attributes
     ----------
     bar_length_m
         The fish hangs this far below the sensor, which so feels torque = force x bar length.
-    material, thickness_mm, fin
-        "polyester" or "acrylic", how thick, "large" or "small", see `thrust_n`; conditions of these names change it.
     """
 
     bar_length_m: PositiveFloat = 0.4
-    material: str = "polyester"
-    thickness_mm: PositiveFloat = 1.016
-    fin: str = "large"
 
 
 class DelayLine:
@@ -137,9 +132,7 @@ class CaudalTank(Bench):
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
         """Mount the fin that the condition names by ``material``, ``thickness_mm`` and ``fin``."""
-        material, thickness_mm, fin = self._fin
-        thickness_mm = float(condition.get("thickness_mm", thickness_mm))
-        wanted = str(condition.get("material", material)), thickness_mm, str(condition.get("fin", fin))
+        wanted = named_fin(condition, self._fin)
         if wanted != self._fin:
             state = self._stepper.state
             self._put(wanted)
@@ -150,10 +143,10 @@ class CaudalTank(Bench):
         fin = dict(zip(("material", "thickness_mm", "fin"), self._fin, strict=True))
         return self._truth(self._hidden, fin=fin, bar_length_m=self._settings.bar_length_m)
 
-    def _put(self, fin: tuple[str, float, str]) -> None:
+    def _put(self, fin: Fin) -> None:
         share = thrust_n(*fin) / BEST_N
         large = self._large.named_values
-        self._fin: tuple[str, float, str] = fin
+        self._fin = fin
         self._model = self._large.with_values({name: share * large[name] for name in _OF_THE_FIN})
         self._stepper = Stepper(self._model, effects=self._water, step_s=self.step_s)
 
@@ -164,7 +157,7 @@ class CaudalTank(Bench):
         servo = self._servo(self._drives["tail"].angles(time_s))
         tip = self._tip(servo)
         rate = (servo - tip) / _TIP_LAG_S
-        late_s = (0.0, _ECHO_S, _QUARTER_S)
+        late_s = (0.0, _ECHO_S, QUARTER_S)
         late = self._late.after(rate, *(self._steps(_AMPLITUDE_DEAD_S + more_s) for more_s in late_s))
         (late_angle,) = self._angle.after(servo, self._steps(_ANGLE_DEAD_S))
         noise = self._settings.noise / math.sqrt(self.step_s) * self._rng.standard_normal((len(time_s), 2))

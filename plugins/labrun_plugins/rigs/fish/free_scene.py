@@ -18,6 +18,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
@@ -29,7 +30,7 @@ from labrun_plugins.simulated.bench import Bench, BenchSettings, model_beside, r
 REAR_FINS_YAW_DRAG = 0.041
 """What a tail at rest and the dorsal fin add to the yaw drag, N m s^2."""
 _COURSE = {"x": "m", "y": "m", "heading": "rad", "ahead": "m/s", "aside": "m/s", "turning": "rad/s"}
-ANSWERS = ("seconds_per_turn", "seconds_per_metre", "swims")
+ANSWERS = ("seconds_per_turn", "seconds_over_distance", "swims")
 _REACTION_S = 0.1
 """Scatter of a thumb on a watch, at either end (chosen)."""
 _SWIMS_M = 0.1
@@ -39,12 +40,13 @@ _SWIMS_M = 0.1
 class Watch:
     """Keeps the course of a trial while the fins beat, and reads it as a person would.
 
-    The first full turn, or metre, is left to the fish to get up to its speed; all that follow until the fins stop are
-    timed together. One that makes no second is timed over its last, and one that does not get so far over what there
-    is.
+    The first full turn, or the first `distance_m`, is left to the fish to get up to its speed; all that follow until
+    the fins stop are timed together. One that makes no second is timed over its last, and one that does not get so far
+    over what there is.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, distance_m: float = 1.0) -> None:
+        self._distance_m = distance_m
         self._blocks: list[FloatArray] = []
 
     def clear(self) -> None:
@@ -81,14 +83,15 @@ class Watch:
             )
         else:
             way = np.hypot(*(seen[-1, 1:3] - seen[:, 1:3]).T)
-            begun, whole = np.hypot(*(seen[:, 1:3] - seen[0, 1:3]).T), 1.0
+            begun, whole = np.hypot(*(seen[:, 1:3] - seen[0, 1:3]).T), self._distance_m
         up_to_speed = np.flatnonzero(begun >= whole)
         left = way[up_to_speed[0]] if len(up_to_speed) else 0.0
         far = np.flatnonzero(way >= max(1, math.floor(left / whole)) * whole)
         first = int(far[-1]) if len(far) else 0
         share = max(float(way[first]), 1e-9) / whole
-        seconds = (float(seen[-1, 0] - seen[first, 0]) + math.sqrt(2.0) * _REACTION_S * thumb) / share
-        return round(max(seconds, 0.1), 1)
+        seconds = float(seen[-1, 0] - seen[first, 0]) + math.sqrt(2.0) * _REACTION_S * thumb
+        # A watch shows tenths of all turns together; a person divides afterwards.
+        return round(max(round(seconds, 1), 0.1) / share, 2)
 
 
 def chosen_by_hand(
@@ -113,11 +116,13 @@ class FireFreeSettings(BenchSettings):
     """What is changed by hand, where no condition says otherwise.
 
     `attachment`: blades of the pectoral fins. `caudal`: whether tail and dorsal fin are on. `water`: where it swims.
+    `distance_m`: the distance over which a person times it; a dry run's fish meets no wall.
     """
 
     attachment: AttachmentName = "broad"
     caudal: Literal["on", "off"] = "on"
     water: Literal["tank", "pool"] = "tank"
+    distance_m: PositiveFloat = 1.0
 
 
 class FireFree(Bench):
@@ -150,10 +155,10 @@ class FireFree(Bench):
         self._hidden = self._water_effects + self._servo.effects
         self._put = {name: getattr(self._settings, name) for name in ("attachment", "caudal", "water")}
         self._stepper = self._fresh_stepper()
-        self._watch = Watch()
+        self._watch = Watch(self._settings.distance_m)
         self._motion = motion_at(np.zeros(len(JOINTS)))
         self._wake = np.zeros((WATERS, 3))
-        self._fins_before = np.zeros(4)
+        self._fins_before = np.zeros(len(JOINTS))
         self._inputs_before = np.zeros(len(self._model.inputs))
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
@@ -190,7 +195,7 @@ class FireFree(Bench):
         for drive, column in zip(self._drives.values(), commanded.T, strict=True):
             drive.write(time_s, column)
         joints = self._servo(commanded)
-        before, self._fins_before = self._fins_before, joints[-1, :4].copy()
+        before, self._fins_before = self._fins_before, joints[-1].copy()
         noise = self._settings.noise / math.sqrt(self.step_s) * self._rng.standard_normal((count, 3))
         rows = np.empty((count, len(self.signals)))
         rows[:, 6:] = joints
@@ -214,7 +219,7 @@ class FireFree(Bench):
             rows[n, :6] = self._stepper.advance(inputs)[0]
             going = rows[n, 3:6]
             self._inputs_before = inputs[1].copy()
-        beating = (joints[:, :4] != np.vstack([before, joints[:-1, :4]])).any(axis=1)
+        beating = (joints != np.vstack([before, joints[:-1]])).any(axis=1)
         self._watch.look(time_s, rows[:, :3], beating)
         require_finite(self._stepper, "free fish")
         return rows

@@ -173,22 +173,42 @@ def _told(name: str, line: Trend, small_deg: float, large_deg: float) -> str:
     )
 
 
-def body_warning(body: Body, stiffness: float) -> list[str]:
-    """Say what the uncertainty of the stated body means: it shifts all releases, and both ways, alike.
+def body_shares(body: Body, stiffness: float) -> dict[str, float]:
+    """Return by what share of itself each quantity may be shifted by the stated body (95 %), all releases alike.
 
-    The frequency gives ``(k + m g r) / I``, the decay ``b / I``, for small swings.
+    The frequency gives ``(k + m g r) / I``, the decay ``b / I``, for small swings. Empty where the body is known, or
+    its gravity torque is fitted, too.
     """
     if body.gravity_torque is None or (body.inertia_tolerance == 0 and body.gravity_tolerance == 0):
-        return []
+        return {}
     by_inertia = body.inertia_tolerance * abs(stiffness + body.gravity_torque)
     by_gravity = body.gravity_tolerance * abs(body.gravity_torque)
-    stiffness_share = _NORMAL * float(np.hypot(by_inertia, by_gravity)) / max(abs(stiffness), 1e-300)
-    damping_share = _NORMAL * body.inertia_tolerance
+    return {
+        "stiffness": _NORMAL * float(np.hypot(by_inertia, by_gravity)) / max(abs(stiffness), 1e-300),
+        "damping": _NORMAL * body.inertia_tolerance,
+    }
+
+
+def body_warning(body: Body, shares: dict[str, float], *, in_intervals: bool) -> list[str]:
+    """Say what the uncertainty of the stated body means: it shifts all releases, and both ways, alike."""
+    if not shares:
+        return []
+    shifts = ", ".join(f"{name} by up to {100 * share:.2g} %" for name, share in shares.items())
     return [
         f"the body is taken as stated: inertia to {100 * body.inertia_tolerance:.2g} %, gravity_torque to "
-        f"{100 * body.gravity_tolerance:.2g} %. That shifts both ways alike and is not in the intervals: "
-        f"stiffness by up to {100 * stiffness_share:.2g} %, damping by up to {100 * damping_share:.2g} % (95 %)"
+        f"{100 * body.gravity_tolerance:.2g} %. That shifts both ways alike and is "
+        f"{'in' if in_intervals else 'not in'} the intervals: {shifts} (95 %)"
     ]
+
+
+def with_body(found: dict[str, Estimate], shares: dict[str, float]) -> dict[str, Estimate]:
+    """Return estimates whose intervals cover both how releases scatter and what the stated body may shift."""
+    widened = {}
+    for name, one in found.items():
+        shift = shares.get(name.removesuffix("_fourier"), 0.0) * abs(one.value)
+        low, high = (float(np.hypot(end - one.value, shift)) for end in one.ci95)
+        widened[name] = Estimate(one.value, (one.value - low, one.value + high), one.unit) if shift else one
+    return widened
 
 
 def agreement_warnings(found: dict[str, Estimate], fourier: dict[str, Estimate]) -> list[str]:
@@ -252,6 +272,7 @@ def fit_hinge(
     rng: np.random.Generator,
     starts: int = STARTS,
     note: Note = silent,
+    body_in_intervals: bool = True,
 ) -> FitResult:
     """Fit eq. (3.5) to free swings both ways.
 
@@ -264,7 +285,7 @@ def fit_hinge(
     A hinge differs from release to release (Table 3.2: by 2.3 % in k, 3.2 % in b), and a common k would run out of
     phase within seconds. Every release is therefore fitted by itself; the estimates are means over releases, with
     intervals from resampling whole releases, and how much releases differ is among the findings. The body is
-    taken as stated; what its tolerance means for the result is a warning.
+    taken as stated; what its tolerance means for the result is in the intervals, and told.
 
     Where the gravity torque is not known, or there is one release only, one k and b (and gravity torque) are fitted
     to all swings together; only swings of large angles tell gravity (sine) from a linear spring.
@@ -277,6 +298,8 @@ def fit_hinge(
         See `hinge_model`.
     starts
         Of the simulation of all swings together; few are enough, because the Fourier estimate is the first of them.
+    body_in_intervals
+        Whether intervals cover the tolerance of the stated body, beside the scatter of releases.
 
     Raises
     ------
@@ -298,8 +321,12 @@ def fit_hinge(
     warnings = result.warnings
     if len(dataset.trials) < FEW_TRIALS and len(dataset.trials) > 1:
         warnings = (*warnings, f"the Fourier intervals, too, rest on {len(dataset.trials)} trials only")
-    warnings = (*warnings, *body_warning(body, result.parameters["stiffness"].value))
-    return replace(result, warnings=warnings)
+    shares = body_shares(body, result.parameters["stiffness"].value)
+    warnings = (*warnings, *body_warning(body, shares, in_intervals=body_in_intervals))
+    parameters = dict(result.parameters)
+    if body_in_intervals:
+        parameters = with_body(parameters, shares)
+    return replace(result, parameters=parameters, warnings=warnings)
 
 
 def _one_by_one(

@@ -218,7 +218,9 @@ def _fitted(
     run: str,
 ) -> Specimen:
     body = body_of(model, {**stated, **dataset.trials[0].condition})
-    result = fit_hinge(dataset, with_body(model, body), rng=job.rng, starts=job.starts or 2)
+    result = fit_hinge(
+        dataset, with_body(model, body), rng=job.rng, starts=job.starts or 2, body_in_intervals=False
+    )
     ways = []
     for way in ("", "_fourier"):
         releases = [[one[f"{name}{way}"] for name in FOUND] for one in result.by_trial]

@@ -1,0 +1,107 @@
+"""What the diagnosis says of recordings whose causes are known, with each of its constants halved and doubled.
+
+    python benchmarks/diagnosis_constants.py FOLDER [--only MARGIN --only RATED ...] [--recordings NAME ...]
+
+FOLDER holds recordings (folders with recording.toml and model.toml) and truth.toml, which lists the causes of each:
+``causes = [{ any = ["coulomb-friction", ...], site = "hinge" }]`` and ``beside = [...]``, what may be announced, too.
+LABRUN_RECORDINGS names it if none is given. A recording is *right* if every cause is announced and nothing else is,
+*partly right* if one is, else *wrong*. Prints a row for each constant in Markdown: the table of
+docs/development/diagnosis-constants.md.
+"""
+
+import argparse
+import os
+import tomllib
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it
+
+from labrun.app.question import ask
+from labrun.gap import Diagnosis, Options, criteria, diagnose_dataset
+
+RULE = (
+    "STANDARD_ERRORS", "MARGIN", "SHARE_OF_GAP", "ENOUGH_UNITS", "RESAMPLES", "MOST_CAUSES", "RATED", "BEAM",
+    "FORMS_TRIED", "EXCHANGES", "MOST_FOLDS", "WITHHELD_BLOCKS", "LEAST_INFORMATION", "WITHIN_TOLERANCES", "FAR_OFF",
+    "MODEL_ROUNDING", "DEVIATION_SHARE", "DEVIATION_P", "WORTH_BESIDE_BEST", "ALWAYS_FITTED", "WORTH_FOLLOWING",
+    "LARGE_REMAINDER", "EXPLAINED_REST", "MOSTLY_REST", "LEARNABLE",
+)  # fmt: skip
+
+
+def judged(diagnosis: Diagnosis, truth: Mapping[str, Any]) -> str:
+    """Return whether a diagnosis is right, partly right, or wrong."""
+    sets = [
+        {(name.effect, name.site) for name in (cause.name, *cause.indistinguishable_from)}
+        for cause in diagnosis.causes
+        if cause.name.kind == "effect"
+    ]
+
+    def holds(members: set[tuple[str, str]], cause: Mapping[str, Any]) -> bool:
+        return any(effect in cause["any"] and cause.get("site", site) == site for effect, site in members)
+
+    allowed = set(truth.get("beside", ()))
+    met = [any(holds(members, cause) for members in sets) for cause in truth["causes"]]
+    true = [
+        any(effect in allowed for effect, _ in members)
+        or any(holds(members, cause) for cause in truth["causes"])
+        for members in sets
+    ]
+    if all(met) and all(true):
+        return "right"
+    return "partly right" if any(true) else "wrong"
+
+
+def score(folder: Path, truths: Mapping[str, Any]) -> Counter[str]:
+    """Diagnose all recordings, and count how the answers agree with the truth."""
+    tally = Counter[str]()
+    for name, truth in truths.items():
+        question = ask(folder / name, None)
+        tally[judged(diagnose_dataset(question.dataset, question.model, Options(places=False)), truth)] += 1
+    return tally
+
+
+def row(name: str, value: object, tallies: Sequence[Counter[str]]) -> str:
+    """Return a row of the table: right, partly right and wrong with the constant as it is, halved and doubled."""
+    cells = [f"{tally['right']} / {tally['partly right']} / {tally['wrong']}" for tally in tallies]
+    return f"| `{name}` | {value} | {' | '.join(cells)} |"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", nargs="?", default=os.environ.get("LABRUN_RECORDINGS"))
+    parser.add_argument("--only", action="append", choices=RULE)
+    parser.add_argument("--recordings", nargs="*")
+    options = parser.parse_args()
+    folder = Path(options.folder)
+    truths = tomllib.loads((folder / "truth.toml").read_text())
+    truths = {
+        name: truth
+        for name, truth in truths.items()
+        if "robot" not in truth and (not options.recordings or name in options.recordings)
+    }
+    print(f"{len(truths)} recordings: {', '.join(truths)}. Right / partly right / wrong.\n")
+    print("| constant | value | as it is | halved | doubled |\n|---|---|---|---|---|")
+    usual = score(folder, truths)
+    for name in options.only or RULE:
+        value = getattr(criteria, name)
+        tallies = [usual]
+        for factor in (0.5, 2.0):
+            changed = max(round(factor * value), 1) if isinstance(value, int) else factor * value
+            if changed == value:
+                tallies.append(usual)
+                continue
+            setattr(criteria, name, changed)
+            try:
+                tallies.append(score(folder, truths))
+            finally:
+                setattr(criteria, name, value)
+        print(row(name, value, tallies), flush=True)
+
+
+if __name__ == "__main__":
+    main()

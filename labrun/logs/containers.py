@@ -1,0 +1,157 @@
+"""Files of arrays: NumPy archives, HDF5, MATLAB. What a file claims is checked before memory is taken for it."""
+
+import io
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, cast
+from zipfile import BadZipFile, ZipFile
+
+import numpy as np
+
+from labrun.errors import RecordingError
+from labrun.logs.arrays import Arrays
+from labrun.logs.findings import Finding, Statement
+
+MOST_TIMES, SPARE_BYTES = 3, 256 * 2**20
+"""What a file unpacks to is at most so many times its size, and this more for small ones."""
+
+
+def require_affordable(path: Path, claimed_bytes: int) -> None:
+    """Raise RecordingError if a file claims to hold far more than it can."""
+    size = path.stat().st_size
+    if claimed_bytes > MOST_TIMES * size + SPARE_BYTES:
+        raise RecordingError(
+            f"{path} has {size:,} bytes and claims to hold {claimed_bytes:,}",
+            hint="it is damaged, or packed very tightly: unpack it, or write less of it",
+        )
+
+
+class BoundedFile(io.BufferedReader):
+    """A file of which nobody can ask for more bytes than it has: memory for them would be taken before that shows."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._size = path.stat().st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return at most what is left of the file."""
+        left = max(self._size - self.tell(), 0)
+        return super().read(left if size is None or size < 0 else min(size, left))
+
+
+def read_npz(path: Path) -> Arrays:
+    """Read a NumPy archive, or one array: (n,) is a column, (n, k) a vector."""
+    from numpy.lib import format as npy
+
+    try:
+        if path.suffix.lower() == ".npy":
+            with path.open("rb") as file:
+                require_affordable(path, _npy_bytes(npy, file))
+            return Arrays({path.stem: np.load(path, allow_pickle=False)})
+        with ZipFile(path) as archive:
+            require_affordable(path, sum(entry.file_size for entry in archive.infolist()))
+            for entry in archive.infolist():
+                with archive.open(entry) as file:
+                    if _npy_bytes(npy, file) > entry.file_size:
+                        raise ValueError("an array is longer than the file says")
+        with np.load(path, allow_pickle=False) as archive:
+            return Arrays({name: archive[name] for name in archive.files})
+    except (OSError, ValueError, EOFError, BadZipFile, KeyError):
+        raise RecordingError(
+            f"{path} is no whole NumPy archive of numbers", hint="write it again with numpy.savez"
+        ) from None
+
+
+def _npy_bytes(npy: Any, file: Any) -> int:
+    version = npy.read_magic(file)
+    header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, _, dtype = header(file)
+    count = 1
+    for length in shape:
+        count *= int(length)
+    return count * int(dtype.itemsize)
+
+
+def read_h5(path: Path) -> Arrays:
+    """Read the datasets of an HDF5 file; ``units`` of a dataset is its unit. MATLAB's own (7.3) is turned round."""
+    import h5py
+
+    values: dict[str, Any] = {}
+    units: dict[str, str] = {}
+    claimed = 0
+
+    def visit(name: str, item: Any) -> None:
+        nonlocal claimed
+        if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "fiub" or item.ndim not in (1, 2):
+            return
+        if name.startswith("#refs#"):
+            return
+        claimed += item.size * item.dtype.itemsize
+        require_affordable(path, claimed)
+        from_matlab = "MATLAB_class" in item.attrs
+        values[name] = _upright(item[()].T) if from_matlab else item[()]
+        unit = item.attrs.get("units", item.attrs.get("unit", ""))
+        units[name] = unit.decode(errors="replace") if isinstance(unit, bytes) else str(unit)
+
+    with h5py.File(path) as file:
+        file.visititems(visit)
+    return Arrays(values, units={name: unit for name, unit in units.items() if unit})
+
+
+def read_mat(path: Path) -> Arrays:
+    """Read the variables of a MATLAB file: matrices, and structures of them, such as Simulink's with time."""
+    from scipy.io import loadmat, whosmat
+    from scipy.io.matlab import MatlabOpaque
+
+    with path.open("rb") as file:
+        start = file.read(128)
+    if start[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in start:
+        return read_h5(path)
+    sizes = {"double": 8, "single": 4, "int64": 8, "uint64": 8}
+    with BoundedFile(path) as bounded:
+        listed = whosmat(cast("Any", bounded))
+    require_affordable(path, sum(math.prod(shape) * sizes.get(kind, 4) for _, shape, kind in listed))
+    with BoundedFile(path) as bounded:
+        content = loadmat(cast("Any", bounded), simplify_cells=True)
+    values: dict[str, Any] = {}
+    labels: dict[str, tuple[str, ...] | None] = {}
+    unread: list[str] = []
+    for name, given in content.items():
+        if name.startswith("__"):
+            continue
+        for key, value in _flat(name, given):
+            if isinstance(value, MatlabOpaque):
+                unread.append(key)
+            elif isinstance(value, np.ndarray):
+                values[key] = _upright(value)
+    findings: tuple[Finding, ...] = ()
+    if unread:
+        text = f"{path.name}: {', '.join(unread)} are objects of MATLAB (timeseries, table), which only MATLAB reads"
+        findings = (Statement(f"{text}; write their Time and Data as matrices"),)
+    return Arrays(values, labels, findings=findings)
+
+
+def _flat(name: str, given: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(given, Mapping):
+        label = given.get("label")
+        for key, value in given.items():
+            own = (
+                f"{name}/{label}" if key == "values" and isinstance(label, str) and label else f"{name}/{key}"
+            )
+            yield from _flat(own, value)
+    elif isinstance(given, list) or (isinstance(given, np.ndarray) and given.dtype == object):
+        for place, value in enumerate(
+            np.asarray(given, dtype=object).ravel() if isinstance(given, np.ndarray) else given
+        ):
+            yield from _flat(
+                f"{name}/{place}" if not (isinstance(value, Mapping) and value.get("label")) else name, value
+            )
+    else:
+        yield name, given
+
+
+def _upright(table: Any) -> Any:
+    """Return a row or a column as a list: what MATLAB holds over time may lie either way."""
+    flat = np.ndim(table) == 2 and 1 in table.shape and table.size > 1
+    return table.reshape(-1) if flat else table

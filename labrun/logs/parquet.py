@@ -1,0 +1,151 @@
+"""Parquet files and LeRobot data sets, whose ``meta/info.json`` names joints, rate and robot."""
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.errors import RecordingError, RequestError
+from labrun.logs.arrays import Arrays, ReadOptions, streams_of
+from labrun.logs.containers import require_affordable
+from labrun.logs.findings import Finding, Statement
+from labrun.logs.streams import Stream
+
+_PERCENT_GRIPPERS = re.compile(r"(?i)so[-_]?10[01]|koch|lekiwi|omx")
+"""Robots of LeRobot whose gripper is written as 0 to 100 of its range, whatever the other joints are in."""
+
+
+def read_parquet(path: Path, options: ReadOptions) -> list[Stream]:
+    """Read a Parquet file, or a folder of a LeRobot data set: ``observation.state``, ``action``, ``timestamp``."""
+    try:
+        from pyarrow import parquet
+    except ImportError:
+        raise RequestError(
+            f"{path} needs the package pyarrow", hint='pip install "labrun[parquet]"'
+        ) from None
+    information = _information(path)
+    files = (
+        sorted(path.glob("data/**/*.parquet" if information else "**/*.parquet")) if path.is_dir() else [path]
+    )
+    if not files:
+        raise RecordingError(f"{path} holds no .parquet file", hint="a LeRobot data set has meta/ and data/")
+    tables = []
+    for file in files:
+        try:
+            tables.append(_table(file, parquet))
+        except (OSError, ValueError, NotImplementedError) as error:
+            raise RecordingError(f"{file} cannot be read: {error}") from None
+    shared = [name for name in tables[0] if all(name in table for table in tables)]
+    findings: list[Finding] = []
+    if lost := sorted({name for table in tables for name in table} - set(shared)):
+        findings.append(
+            Statement(f"{path.name}: {', '.join(lost[:8])} are not in all {len(files)} files; left out")
+        )
+    values: dict[str, Any] = {name: np.concatenate([table[name] for table in tables]) for name in shared}
+    if len(files) > 1 and "episode_index" not in values:
+        lengths = [len(next(iter(table.values()))) for table in tables]
+        values["episode_index"] = np.repeat(np.arange(len(files)), lengths)
+    labels = {name: _names(entry.get("names")) for name, entry in information.get("features", {}).items()}
+    findings += _counted(path, values, information)
+    rate = options.rate_hz or information.get("fps")
+    arrays = Arrays(values, labels, _gripper_units(information, labels), tuple(findings))
+    streams = streams_of(path.stem, arrays, replace(options, rate_hz=float(rate) if rate else None))
+    return [replace(stream, lerobot=bool(information)) for stream in streams]
+
+
+def _table(file: Path, parquet: Any) -> dict[str, Any]:
+    """Return the columns of numbers, times and vectors of one width."""
+    import pyarrow as pa
+
+    whole = parquet.ParquetFile(file)
+    names = [field.name for field in whole.schema_arrow if _width(field.type, pa) is not None]
+    places = {
+        whole.metadata.schema.column(index).path.partition(".")[0]: index
+        for index in range(whole.metadata.num_columns)
+    }
+    groups = [whole.metadata.row_group(index) for index in range(whole.metadata.num_row_groups)]
+    claimed = sum(
+        group.column(places[name]).total_uncompressed_size
+        for group in groups
+        for name in names
+        if name in places
+    )
+    require_affordable(file, max(claimed, 8 * whole.metadata.num_rows))
+    table = whole.read(columns=names)
+    return {
+        name: values for name in names if (values := _numbers(table[name].combine_chunks(), pa)) is not None
+    }
+
+
+def _width(kind: Any, pa: Any) -> int | None:
+    """Return 1 for numbers and times, 2 for lists of numbers, None for what is neither."""
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+        return 2 if _width(kind.value_type, pa) == 1 else None
+    number = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_timestamp(kind)
+    return 1 if number else None
+
+
+def _numbers(column: Any, pa: Any) -> FloatArray | None:
+    if _width(column.type, pa) == 2:
+        flat = _numbers(column.flatten(), pa)
+        width, left = divmod(0 if flat is None else len(flat), max(len(column), 1))
+        return None if flat is None or left or not width or column.null_count else flat.reshape(-1, width)
+    if pa.types.is_timestamp(column.type):
+        per_s = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[column.type.unit]
+        counts = column.cast(pa.int64())
+        first = next((one.as_py() for one in counts if one.is_valid), 0)
+        since: FloatArray = np.array(counts.to_numpy(zero_copy_only=False) - first, dtype=np.float64) / per_s
+        return since
+    numbers: FloatArray = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
+    return numbers
+
+
+def _information(path: Path) -> Mapping[str, Any]:
+    folder = (
+        path if path.is_dir() else next((up for up in path.parents if (up / "meta").is_dir()), path.parent)
+    )
+    file = folder / "meta" / "info.json"
+    try:
+        given = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{file} cannot be read: {error}") from None
+    if not isinstance(given, dict) or not isinstance(given.get("features", {}), dict):
+        raise RecordingError(
+            f"{file} is not the description of a LeRobot data set: a table of features was expected"
+        )
+    return given
+
+
+def _names(given: Any) -> tuple[str, ...] | None:
+    """Return the names of a feature's parts; LeRobot has had lists, and tables of lists."""
+    if isinstance(given, dict):
+        given = next(iter(given.values()), None)
+    return tuple(map(str, given)) if isinstance(given, list) else None
+
+
+def _gripper_units(
+    information: Mapping[str, Any], labels: Mapping[str, tuple[str, ...] | None]
+) -> dict[str, str]:
+    """Return the unit that the data set's kind of robot states: its gripper is 0 to 100."""
+    if not _PERCENT_GRIPPERS.search(str(information.get("robot_type", ""))):
+        return {}
+    return {name: "percent" for names in labels.values() for name in names or () if "gripper" in name.lower()}
+
+
+def _counted(path: Path, values: Mapping[str, Any], information: Mapping[str, Any]) -> list[Finding]:
+    """Return what is said if the data set holds another number of episodes or samples than its description."""
+    said: list[Finding] = []
+    rows = len(next(iter(values.values()), ()))
+    episodes = len(np.unique(values["episode_index"])) if "episode_index" in values else 0
+    for key, count in (("total_frames", rows), ("total_episodes", episodes)):
+        stated = information.get(key)
+        if isinstance(stated, int) and stated != count and count:
+            said.append(
+                Statement(f"{path.name}: meta/info.json states {key} {stated}, and {count} were found")
+            )
+    return said
