@@ -311,7 +311,7 @@ def test_what_mends_a_part_of_a_form_and_leaves_as_much_to_be_learned_is_no_seco
         sum(1e-4 * size * np.sin(2 * np.pi * f_hz * time_s + phase) for size, f_hz, phase in waves) * begun
     )
     trials = []
-    for number, goal in enumerate((steps, chirp, several)):
+    for index, goal in enumerate((steps, chirp, several)):
 
         def slope(t: float, x: FloatArray, goal: FloatArray = goal) -> list[float]:
             drive = 3000.0 * (float(np.interp(t, time_s, goal)) - x[0]) - 70.0 * x[1]
@@ -321,9 +321,7 @@ def test_what_mends_a_part_of_a_form_and_leaves_as_much_to_be_learned_is_no_seco
 
         moved = solve_ivp(slope, (0.0, 4.0), [0.0] * 4, t_eval=time_s, rtol=1e-8, atol=1e-11, max_step=2e-3)
         seen = moved.y[0] + 1.2e-5 * rng.standard_normal(len(time_s))
-        trials.append(
-            FitTrial(str(number), {"motion": float(number)}, 1, time_s, goal[:, None], seen[:, None])
-        )
+        trials.append(FitTrial(str(index), {"motion": float(index)}, 1, time_s, goal[:, None], seen[:, None]))
     data = logged("belt", SignalInfo("goal", "m", "linear"), SignalInfo("motor", "m", "linear"), trials)
     found = diagnose_dataset(data, parse_model(BELT, "belt.toml"), QUICK)
     (cause,) = found.causes
