@@ -40,7 +40,7 @@ def run_hiding(folder, *hidden, says):
     sealed = seal(folder, hidden)
     (folder / "spec.toml").write_text("")
     (folder / "provenance.json").write_text(json.dumps({"sealed_sha256": sealed.sha256}))
-    store(says, folder, folder, page=False)
+    store(says, folder / "gap", page=False)
     return folder
 
 

@@ -26,7 +26,7 @@ def diagnosed(stop_at: str = "", **more: float) -> Diagnosis:
 
     rub = dry_friction(0.009)
     data = recorded(
-        lambda t, q, v: rub(t, q, v) + 0.012 * float(np.sin(9.0 * q)), conditions=CONDITIONS[:3], repeats=1
+        lambda t, q, v: rub(t, q, v) + 0.004 * float(np.sin(9.0 * q)), conditions=CONDITIONS[:3], repeats=1
     )
     return diagnose_dataset(data, pendulum(), Options(places=False, withhold=FEW.withhold, **more), note=note)
 
