@@ -89,11 +89,20 @@ def gap_lines(diagnosis: Diagnosis, width: int, files: Mapping[str, Path] | None
         *fixed, ("others", others), ("where", where), ("limits", limits), ("next", then), ("data", data), *written,
     ]  # fmt: skip
     lines = [Text(line, style="bold") for line in head]
-    for label, body in sections:
+    for label, body in _trimmed(sections, MOST_LINES - len(head), room):
         for index, line in enumerate(body):
             text = Text(f"{label if index == 0 else '':<{_MARGIN}}", style="dim")
             lines.append(text.append(line, style="not dim"))
     return lines
+
+
+def _trimmed(sections: Sequence[tuple[str, list[str]]], most: int, room: int) -> list[tuple[str, list[str]]]:
+    """Return sections of at most `most` lines together: the longest are cut first, and said to be; none to nothing."""
+    bodies = [list(body) for _, body in sections]
+    while sum(map(len, bodies)) > most and len(longest := max(bodies, key=len)) > 1:
+        longest.pop()
+        longest[-1] = _cut(f"{longest[-1].removesuffix(_CUT)}{_CUT}", room)
+    return [(label, body) for (label, _), body in zip(sections, bodies, strict=True)]
 
 
 def _causes(diagnosis: Diagnosis, room: int) -> list[str]:

@@ -8,7 +8,7 @@ import gap_examples as examples
 import pytest
 
 from labrun.app.diagnose import store
-from labrun.app.kept import kept_folder, read_stored
+from labrun.app.kept import FOLDER, kept_folder, read_stored
 from labrun.errors import RequestError
 from labrun.gap import Sizes
 from labrun.store import find_data
@@ -25,7 +25,7 @@ def recording(tmp_path):
 def test_a_run_keeps_its_diagnosis_in_its_own_folder(tmp_path):
     run = tmp_path / "results" / "hinge" / "hinge-1"
     run.mkdir(parents=True)
-    stored = store(examples.explained(), run, tmp_path / "results")
+    stored = store(examples.explained(), kept_folder(run, tmp_path / "results", FOLDER))
     assert {path.name for path in (run / "gap").iterdir()} == {"diagnosis.json", "gap.html", "gap_figure.png"}
     assert read_stored(run)["causes"][0]["effect"] == "coulomb-friction"
     assert stored.to_json()["report"] == str(run / "gap" / "gap.html")
@@ -33,7 +33,7 @@ def test_a_run_keeps_its_diagnosis_in_its_own_folder(tmp_path):
 
 def test_a_diagnosis_made_again_stands_first_and_the_earlier_ones_are_kept_in_order(tmp_path):
     for made in (examples.explained(), examples.pair(), examples.no_gap()):
-        store(made, tmp_path, tmp_path, page=False)
+        store(made, tmp_path / FOLDER, page=False)
     assert read_stored(tmp_path)["verdict"] == "no-gap"
     kept = [json.loads((tmp_path / f"gap-{n}" / "diagnosis.json").read_text()) for n in (1, 2)]
     assert [len(one["causes"]) for one in kept] == [1, 2]
@@ -42,8 +42,9 @@ def test_a_diagnosis_made_again_stands_first_and_the_earlier_ones_are_kept_in_or
 
 def test_a_recording_is_never_written_to(recording, tmp_path):
     results = tmp_path / "results"
-    first = store(examples.no_gap(), recording, results, page=False)
-    second = store(examples.no_gap(), recording, results, page=False)
+    first, second = (
+        store(examples.no_gap(), kept_folder(recording, results, FOLDER), page=False) for _ in range(2)
+    )
     assert [path.name for path in recording.iterdir()] == ["recording.toml"]
     assert first.numbers.parent.parent == results / "ring-down"
     assert first.numbers != second.numbers
@@ -67,7 +68,7 @@ def test_an_answer_about_a_recording_is_kept_under_the_name_that_it_states(recor
 
 
 def test_without_a_page_nothing_is_drawn(tmp_path):
-    stored = store(examples.no_gap(), tmp_path, tmp_path, page=False)
+    stored = store(examples.no_gap(), tmp_path / FOLDER, page=False)
     assert [path.name for path in (tmp_path / "gap").iterdir()] == ["diagnosis.json"]
     assert stored.to_json()["report"] is None
     assert stored.to_text(100)[-1].plain == f"report   {stored.numbers}"
@@ -75,13 +76,13 @@ def test_without_a_page_nothing_is_drawn(tmp_path):
 
 def test_numbers_that_json_has_no_word_for_become_null(tmp_path):
     wild = replace(examples.no_gap(), gap=Sizes(float("inf"), 1.0, 1.0, 1.0))
-    text = store(wild, tmp_path, tmp_path, page=False).numbers.read_text()
+    text = store(wild, tmp_path / FOLDER, page=False).numbers.read_text()
     assert json.loads(text)["gap"]["raw"] is None
     assert "Infinity" not in text
 
 
 def test_the_object_of_the_contract_is_in_the_file(tmp_path):
-    found = json.loads(store(examples.pair(), tmp_path, tmp_path, page=False).numbers.read_text())
+    found = json.loads(store(examples.pair(), tmp_path / FOLDER, page=False).numbers.read_text())
     assert {
         "verdict",
         "gap",

@@ -91,7 +91,7 @@ def looked_at(data: Dataset) -> tuple[Recalibrated, Candidate]:
 def test_the_periods_over_many_turns_are_read_from_what_is_missing() -> None:
     found, cogging = looked_at(turned(cogs))
     assert cogging.scale is not None
-    (periods, sine, cosine), *_ = line_starts(found.problem, found.z, cogging).starts
+    (periods, sine, cosine), *_ = line_starts(found.problem, found.z, cogging)
     travel = 2.0 * cogging.scale.travel  # a line is as wide as one period more over the whole of it
     assert periods * cogging.scale.of("per-coordinate") == pytest.approx(PERIODS, abs=np.pi / travel)
     expected = SIZE * np.array([np.cos(PHASE), np.sin(PHASE)])

@@ -113,7 +113,7 @@ def test_a_disk_that_is_full_when_the_model_is_written_is_told_in_words(bench, t
 
 def test_a_stored_diagnosis_gives_the_same_model(bench):
     folder, run, diagnosis, model = bench
-    store(diagnosis, run, folder / "results", page=False, source="hinge-pendulum")
+    store(diagnosis, run / "gap", page=False, source="hinge-pendulum")
     assert save(run, folder / "saved.toml") == ""
     assert (folder / "saved.toml").read_text() == model.read_text()
     with pytest.raises(RequestError, match="there already"):

@@ -33,7 +33,7 @@ def friction_and_more() -> Diagnosis:
     """Dry friction beside a force over the angle, which the library of the search does not have."""
     rub = dry_friction(0.009)
     data = recorded(
-        lambda t, q, v: rub(t, q, v) + 0.012 * float(np.sin(9.0 * q)), conditions=CONDITIONS[:4], repeats=2
+        lambda t, q, v: rub(t, q, v) + 0.004 * float(np.sin(9.0 * q)), conditions=CONDITIONS[:4], repeats=2
     )
     return diagnose_dataset(data, pendulum(), FEW)
 

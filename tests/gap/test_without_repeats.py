@@ -12,11 +12,16 @@ from labrun.fit.dataset import Dataset, FitTrial
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.noise import independent_share, of_sensor
 from labrun.models import parse_model
+from labrun.report.gap_page import diagnosis_page
+from labrun.report.gap_text import gap_lines
+from labrun.report.text import number
 from labrun.store import SignalInfo
 
-from .benches import CONDITIONS, FloatArray, dry_friction, logged, nothing, pendulum, recorded
+from .benches import CONDITIONS, FloatArray, among, dry_friction, logged, nothing, pendulum, recorded
 
 QUICK = Options(places=False)
+DRY = "coulomb-friction", "stribeck-friction", "presliding-friction"
+FEW = among(*DRY, "bias", "rest-offset", "constant-force", "lag")
 MUSCLE = """
 name = "muscle"
 states = ["position", "speed"]
@@ -104,7 +109,7 @@ def test_jumps_where_friction_turns_are_no_noise_of_a_sensor() -> None:
 
 def test_an_offset_that_four_trials_share_is_told_though_it_has_no_phase() -> None:
     found = diagnose_dataset(
-        recorded(repeats=1, conditions=CONDITIONS[:4], seen=lambda angle: angle + 0.02), pendulum(), QUICK
+        recorded(repeats=1, conditions=CONDITIONS[:4], seen=lambda angle: angle + 0.02), pendulum(), FEW
     )
     assert [str(one.name) for one in found.causes] == ["bias at angle"]
     assert found.causes[0].values["offset"].value == pytest.approx(0.02, rel=0.1)
@@ -112,7 +117,7 @@ def test_an_offset_that_four_trials_share_is_told_though_it_has_no_phase() -> No
 
 def test_friction_is_named_from_trials_that_were_never_repeated() -> None:
     found = diagnose_dataset(
-        recorded(dry_friction(0.006), repeats=1, conditions=CONDITIONS[:3]), pendulum(), QUICK
+        recorded(dry_friction(0.006), repeats=1, conditions=CONDITIONS[:3]), pendulum(), FEW
     )
     assert [str(one.name) for one in found.causes] == ["coulomb-friction at hinge"]
     assert found.causes[0].values["torque"].value == pytest.approx(0.006, rel=0.1)
@@ -120,7 +125,7 @@ def test_friction_is_named_from_trials_that_were_never_repeated() -> None:
 
 
 def test_what_no_model_predicts_is_not_called_a_gap() -> None:
-    found = diagnose_dataset(recorded(nothing, repeats=1), pendulum(), QUICK)
+    found = diagnose_dataset(recorded(nothing, repeats=1), pendulum(), FEW)
     assert not found.causes
     assert found.verdict == "cannot-tell"
     assert found.gap.recalibrated <= found.gap.raw
@@ -208,7 +213,9 @@ def test_a_loop_of_another_shape_is_one_hysteresis_and_no_second_cause_beside_it
     data = Dataset(
         "spring", Path("spring"), "recording", channels, (SignalInfo("force", "N", "linear"),), tuple(trials)
     )
-    found = diagnose_dataset(data, parse_model(SPRING, "spring.toml"), QUICK)
+    found = diagnose_dataset(
+        data, parse_model(SPRING, "spring.toml"), among(*DRY, "hysteresis", "cogging", "quadratic-drag")
+    )
     assert [one.name.effect for one in found.causes] == ["hysteresis"]
     # the library's loop reaches 2/(1 + gamma) in units of its force
     assert found.causes[0].values["force"].value == pytest.approx(2.5 * 1.8 / 2, rel=0.03)
@@ -229,10 +236,18 @@ def test_drag_of_another_exponent_is_told_by_it_beside_an_output_that_lacks_noth
     inputs_are = SignalInfo("position", "m", "linear"), SignalInfo("speed", "m/s", "linear")
     outputs_are = SignalInfo("force", "N", "linear"), SignalInfo("side", "N", "linear")
     data = Dataset("spring", Path("spring"), "recording", inputs_are, outputs_are, tuple(trials))
-    found = diagnose_dataset(data, parse_model(DAMPED_SPRING, "spring.toml"), QUICK)
+    found = diagnose_dataset(data, parse_model(DAMPED_SPRING, "spring.toml"), among(*DRY, "quadratic-drag"))
     (drag,) = found.causes
     assert drag.name.effect == "quadratic-drag"
     assert drag.values["exponent"].value == pytest.approx(1.8, abs=0.02)
+    # a coefficient of another exponent than 2 is that at a speed, and is told with it
+    speed, unit = drag.refers_to["reference"]
+    assert unit == "m/s"
+    size, beyond = drag.values["coefficient"].value, drag.values["exponent"].value - 2.0
+    assert size / speed**beyond == pytest.approx(60.0, rel=0.05)
+    assert f"reference {number(speed, 3)}" in "\n".join(line.plain for line in gap_lines(found, 140))
+    assert f"reference {number(speed, 3)}" in diagnosis_page(found)
+    assert found.to_json()["causes"][0]["refers_to"]["reference"] == {"value": speed, "unit": unit}
 
 
 @pytest.mark.slow
@@ -296,7 +311,7 @@ def test_what_mends_a_part_of_a_form_and_leaves_as_much_to_be_learned_is_no_seco
         sum(1e-4 * size * np.sin(2 * np.pi * f_hz * time_s + phase) for size, f_hz, phase in waves) * begun
     )
     trials = []
-    for number, goal in enumerate((steps, chirp, several)):
+    for index, goal in enumerate((steps, chirp, several)):
 
         def slope(t: float, x: FloatArray, goal: FloatArray = goal) -> list[float]:
             drive = 3000.0 * (float(np.interp(t, time_s, goal)) - x[0]) - 70.0 * x[1]
@@ -306,11 +321,9 @@ def test_what_mends_a_part_of_a_form_and_leaves_as_much_to_be_learned_is_no_seco
 
         moved = solve_ivp(slope, (0.0, 4.0), [0.0] * 4, t_eval=time_s, rtol=1e-8, atol=1e-11, max_step=2e-3)
         seen = moved.y[0] + 1.2e-5 * rng.standard_normal(len(time_s))
-        trials.append(
-            FitTrial(str(number), {"motion": float(number)}, 1, time_s, goal[:, None], seen[:, None])
-        )
+        trials.append(FitTrial(str(index), {"motion": float(index)}, 1, time_s, goal[:, None], seen[:, None]))
     data = logged("belt", SignalInfo("goal", "m", "linear"), SignalInfo("motor", "m", "linear"), trials)
-    found = diagnose_dataset(data, parse_model(BELT, "belt.toml"), Options(places=False))
+    found = diagnose_dataset(data, parse_model(BELT, "belt.toml"), QUICK)
     (cause,) = found.causes
     assert str(cause.name) == "elastic-transmission at axis"
     assert cause.values["inertia"].value == pytest.approx(1.83, rel=0.03)

@@ -12,6 +12,10 @@ from labrun.gap import Cause, Name, ResampledNumber
 from labrun.report.gap_text import MOST_LINES, gap_lines
 
 
+def words_of(diagnosis, width=140):
+    return " ".join(" ".join(lines_of(diagnosis, width)).split())
+
+
 def lines_of(diagnosis, width, files=None):
     return [line.plain.replace("\u00a0", " ") for line in gap_lines(diagnosis, width, files)]
 
@@ -36,13 +40,13 @@ def test_the_ladder_tells_the_error_of_each_step_in_the_outputs_unit_and_beside_
 
 
 def test_a_cause_comes_with_size_interval_share_of_the_gap_and_how_often_it_wins():
-    text = " ".join(lines_of(examples.explained(), 140))
+    text = words_of(examples.explained())
     assert "Coulomb friction at hinge: torque 0.1520 [0.1440, 0.1590] mN m" in text
     assert "closes 85 % of the gap; wins in 96 % of resamples" in text
 
 
 def test_rivals_are_told_with_their_cause():
-    text = " ".join(" ".join(lines_of(examples.pair(), 140)).split())
+    text = words_of(examples.pair())
     assert "rivals: Stribeck friction at hinge" in text
     assert "rivals: delay at torque" in text
 
@@ -56,21 +60,21 @@ def test_a_size_is_told_with_what_it_refers_to():
         0.5,
         refers_to={"reference_speed": (5.1, "rad/s"), "exponent": (2.0, "1")},
     )
-    text = " ".join(lines_of(replace(examples.explained(), causes=(drag,)), 140))
+    text = words_of(replace(examples.explained(), causes=(drag,)))
     assert "at reference speed 5.1 rad/s, exponent 2" in text
 
 
 def test_what_is_left_is_told_with_its_share_and_what_of_it_is_predictable():
-    text = " ".join(lines_of(examples.pair(), 140))
+    text = words_of(examples.pair())
     assert (
         "40 % of the gap (4.9 times the noise); 30 % of its square is predictable from speed of hinge" in text
     )
-    assert "within the noise (0.62 times the noise)" in " ".join(lines_of(examples.explained(), 140))
+    assert "within the noise (0.62 times the noise)" in words_of(examples.explained())
 
 
 def test_an_answer_that_was_stopped_early_says_so():
-    assert not any("Stopped early" in line for line in lines_of(examples.pair(), 80))
-    assert any("Stopped early" in line for line in lines_of(replace(examples.pair(), stopped="time"), 80))
+    assert "Stopped early" not in words_of(examples.pair())
+    assert "Stopped early" in words_of(replace(examples.pair(), stopped="time"))
 
 
 def test_the_end_of_a_long_answer_is_told():
@@ -80,8 +84,8 @@ def test_the_end_of_a_long_answer_is_told():
         "closes 31 % of the gap; 28 % of the gap (27 times the noise of one trial) is left, of which 80 % is "
         "predictable from the speed of the root."
     )
-    assert "80 % is predictable from the speed of the root." in " ".join(
-        lines_of(replace(examples.no_gap(), sentence=answer), 100)
+    assert "80 % is predictable from the speed of the root." in words_of(
+        replace(examples.no_gap(), sentence=answer), 100
     )
 
 

@@ -67,7 +67,7 @@ def annotated(finished, tmp_path_factory):
     (copy / "fit").mkdir()
     (copy / "fit" / "fit.json").write_text(json.dumps(fit))
     (copy / "fit" / "damaged.json").write_text('{"parameters": ')
-    store(examples.explained(), copy, copy)
+    store(examples.explained(), copy / "gap")
     return page_of(copy)
 
 
@@ -261,7 +261,7 @@ def test_the_verdict_stands_in_the_report_with_a_link_to_the_whole(annotated):
 
 def test_a_diagnosis_without_a_page_is_told_without_a_link(begun, tmp_path):
     copy = shutil.copytree(begun, tmp_path / begun.name)
-    store(examples.no_gap(), copy, copy, page=False)
+    store(examples.no_gap(), copy / "gap", page=False)
     text = gap_of(page_of(copy))
     assert "href" not in text
     assert examples.no_gap().sentence.split(":")[0] in text
