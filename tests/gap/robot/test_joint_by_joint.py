@@ -154,8 +154,8 @@ def test_prescribed_motion_is_no_site(tmp_path):
     robot, model, dataset = arm(tmp_path)
     places = one_joint(prescribed(robot, model, dataset), 1).model.places
     assert [(one.kind, one.name) for one in places] == [
-        ("joint", "elbow"), ("link", "elbow_link"), ("controller", "elbow_controller"), ("base", "base"), ("tip", "tip"),
-        ("input", "elbow_command"), ("output", "elbow"),
+        ("joint", "elbow"), ("link", "elbow_link"), ("controller", "elbow_controller"), ("base", "base"),
+        ("tip", "tip"), ("input", "elbow_command"), ("output", "elbow"),
     ]  # fmt: skip
 
 
