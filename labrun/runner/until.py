@@ -324,7 +324,9 @@ class UntilRecorder:
         period_s: float,
     ) -> dict[str, Samples]:
         """Hand the samples of every so many cycles to the trial's file, and return them for the log."""
-        if log.cycles % self._until.keep_every or log.head is None:
+        sparing = log.cycles >= self._until.keep_every
+        beyond = log.cycles % self._until.keep_every
+        if log.head is None or beyond >= (self._until.judge_every if sparing else 1):
             return {}
         kept = {}
         moved_s = log.head["started_s"] + log.cycles * period_s - begun_s
