@@ -251,8 +251,10 @@ class UntilRecorder:
             return True  # stopped between the last cycle and its storing
         while log.cycles < until.max_cycles:
             sparing = until.judge_every > 1 and log.cycles >= until.keep_every
-            every = until.judge_every if sparing else until.keep_every
-            count = min(every - log.cycles % every, until.max_cycles - log.cycles)
+            place = log.cycles % until.keep_every
+            count = min(until.keep_every - place, until.max_cycles - log.cycles)
+            if sparing:
+                count = min(count, until.judge_every - place % until.judge_every)
             start_s = bench.clock.now() + LEAD_S
             bench.follow(_beginning(recording.motion.trajectory, count * period_s), start_s)
             if self._stretch(recording, log, start_s, period_s, 1 if sparing else count):
@@ -324,9 +326,7 @@ class UntilRecorder:
         period_s: float,
     ) -> dict[str, Samples]:
         """Hand the samples of every so many cycles to the trial's file, and return them for the log."""
-        sparing = log.cycles >= self._until.keep_every
-        beyond = log.cycles % self._until.keep_every
-        if log.head is None or beyond >= (self._until.judge_every if sparing else 1):
+        if log.cycles % self._until.keep_every or log.head is None:
             return {}
         kept = {}
         moved_s = log.head["started_s"] + log.cycles * period_s - begun_s
