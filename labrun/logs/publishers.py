@@ -31,7 +31,7 @@ def separate_publishers(stream: Stream, chosen: Mapping[str, int]) -> tuple[Stre
     for stem in dict.fromkeys(column.stem for column in columns if column.stem):
         own = [column for column in columns if column.stem == stem and column.role in ("position", "command")]
         labels = next(
-            (writers for column in own if (writers := _writers(column, stream.publisher)) is not None), None
+            (guess for column in own if (guess := _writers(column, stream.publisher)) is not None), None
         )
         if labels is None:
             continue
