@@ -24,7 +24,7 @@ import numpy as np
 from measuring import machine, table
 
 from labrun.errors import LabrunError
-from labrun.runner import EmulatedBench, RealClock, Rig, Session, SilentProgress
+from labrun.runner import EmulatedBench, Interrupted, LimitReached, RealClock, Rig, Session, SilentProgress
 from labrun.spec import Experiment
 from labrun.store import RunFolder, TrialOutcome
 
@@ -40,14 +40,14 @@ _EXPERIMENT: dict[str, Any] = {
         "scene": "caudal-tank",
         "devices": {
             "tail": {
-                "plugin": "dynamixel", "port": "/dev/ttyUSB1", "joints": {"tail": {"id": 1}}, "feedback_hz": 100,
+                "plugin": "dynamixel", "port": "/dev/ttyUSB1", "joints": {"tail": {"id": 1}}, "feedback_hz": 25,
                 "limits": {"angle_deg": [-60, 60], "speed_deg_s": 528}, "watchdog_ms": 1000,
             },
             "wrench": {"plugin": "robotiq-ft300", "port": "/dev/ttyUSB0", "limits": {"force_n": 300}},
         },
     },
     "gait": {"plugin": "sine", "joints": {"tail": {"amplitude_deg": 30, "frequency_hz": 2}}},
-    "trial": {"duration_s": DURATION_S, "on_fault": "skip"},
+    "trial": {"duration_s": DURATION_S, "on_fault": "skip", "max_lost_share": 0.3},
     "run": {"conditions": [{"a": 1}]},
     "objectives": {"push": {"plugin": "rms", "channel": "wrench.torque_y"}},
 }  # fmt: skip
@@ -159,13 +159,15 @@ def run(folder: Path, trials: int, minutes: float, every_s: float, seed: int) ->
                 with Rig.build(experiment, clock=CLOCK, seed=seed, dry_run=False, emulated=bench) as rig:
                     part = Session(experiment, rig, RunFolder.open(run_folder.path), CLOCK, seed, soak, limit)
                     part.measure([{"a": 1.0}])
+            except Interrupted:
+                break
             except LabrunError as error:  # the run ended, as it may: labrun resume goes on
                 ended_early += 1
                 sys.stderr.write(f"run ended: {error}\n")
-            except Exception as limit_reached:  # so many trials are done: the run is resumed
-                if type(limit_reached).__name__ != "LimitReached":
-                    raise
-            memory_mb = memory_mb or resident_mb()
+            except LimitReached:  # as --limit does: labrun resume goes on
+                continue
+            finally:
+                memory_mb = memory_mb or resident_mb()
     outcomes = RunFolder.open(run_folder.path).outcomes()
     lost = soak.trials.total() - len(outcomes)
     grown_mb = resident_mb() - memory_mb

@@ -159,9 +159,7 @@ class LogPreview:
         return {
             "channels": [channel.to_json() for channel in self.channels], "trials": self.trials,
             "duration_s": self.duration_s, "remarks": list(self.remarks),
-            "questions": [
-                {"text": one.text, "proposal": one.proposal or None, "answers": one.answers} for one in self.questions
-            ],
+            "questions": [question.to_json() for question in self.questions],
         }  # fmt: skip
 
     def to_text(self) -> str:
@@ -269,9 +267,9 @@ def preview_log(
     for piece in reading.trials if reading.table is not None else ():
         used[int(reading.table.log[piece.first])] += piece.end - piece.first  # type: ignore[union-attr]
     rows = tuple(previews(reading.logs, used))
-    said = tuple(statements(reading.findings))
+    remarks = tuple(statements(reading.findings))
     return LogPreview(
-        rows, len(reading.trials), reading.duration_s(), said, tuple(questions(reading.findings))
+        rows, len(reading.trials), reading.duration_s(), remarks, tuple(questions(reading.findings))
     )
 
 
@@ -327,13 +325,13 @@ def _read(paths: Sequence[Path], model: Path, answers: LogAnswers) -> _Reading:
     answered = _without_absent_drives(asked, wanted, robot)
     matches: list[list[Match]] = []
     for log in logs:
-        pairs, told = matched(wanted, log, _within(answered, log, streams))
+        pairs, doubts = matched(wanted, log, _within(answered, log, streams))
         matches.append(pairs)
-        findings += [*told, *unused(pairs, log)]
+        findings += [*doubts, *unused(pairs, log)]
     if robot:
         findings += _undriven(robot, streams, matches, asked)
-    matches, told = decide_units(matches, units)
-    findings += told
+    matches, doubts = decide_units(matches, units)
+    findings += doubts
     for place, pairs in enumerate(matches):
         pairs, clocks = align_clocks(pairs, _stamps(answers.stamps))  # noqa: PLW2901
         matches[place], turns = correct_turns(pairs)
@@ -343,9 +341,9 @@ def _read(paths: Sequence[Path], model: Path, answers: LogAnswers) -> _Reading:
     try:
         tables = []
         for pairs in matches:
-            table, told = table_of(pairs)
+            table, repairs = table_of(pairs)
             tables.append(table)
-            findings += told
+            findings += repairs
         whole = joined(tables)
         bad = list(unusable(whole))
         trials, how = cut(whole, answers.cut_s, [piece for piece, _ in bad])
@@ -382,7 +380,9 @@ def _within(asked: Mapping[str, str], log: Sequence[Stream], streams: Sequence[S
     """Return the answers that are about one of several logs: not those that name a column of another."""
 
     def names(some: Sequence[Stream]) -> set[str]:
-        return {plain(name) for stream in some for one in stream.columns for name in (one.name, one.stem)}
+        return {
+            plain(name) for stream in some for column in stream.columns for name in (column.name, column.stem)
+        }
 
     own, every = names(log), names(streams)
     return {key: value for key, value in asked.items() if plain(value) in own or plain(value) not in every}
@@ -473,14 +473,14 @@ def _undriven(
     if not free:
         return []
     used = {match.column.name for log in logs for match in log if match.column is not None}
-    pairs = [(stream, one) for stream in streams for one in stream.columns if one.name not in used]
+    pairs = [(stream, column) for stream in streams for column in stream.columns if column.name not in used]
     findings: list[Finding] = []
     answered = {plain(name) for name in asked}
     kinds: tuple[tuple[str, str, tuple[str, ...]], ...] = (
         ("torque", "torque", ("torque", "torque-command")), ("goal of a servo", "command", ("command",)),
     )  # fmt: skip
     for kind, suffix, roles in kinds:
-        own = [(stream, one) for stream, one in pairs if one.role in roles]
+        own = [(stream, column) for stream, column in pairs if column.role in roles]
         for place, joint in enumerate(robot.joints):
             pair = numbered(place, len(robot.joints), own)
             if joint.output not in free or pair is None or plain(f"{joint.output}_{suffix}") in answered:
@@ -492,14 +492,16 @@ def _undriven(
             findings.append(Question(text, f"{flag}={pair[1].name}", f"{flag}={NOT}", joint.output))
         if findings:
             return findings
-    left = [one.name for _, one in pairs if one.role in ("command", "torque-command", "velocity-command")]
-    if left:
+    commands = [
+        column.name for _, column in pairs if column.role in ("command", "torque-command", "velocity-command")
+    ]
+    if commands:
         text = (
-            f"{', '.join(left)} is not used: the file has no actuator at {', '.join(free)}; "
-            f"--map {free[0]}_command={left[0]} makes it the goal of a servo of unknown gains there"
+            f"{', '.join(commands)} is not used: the file has no actuator at {', '.join(free)}; "
+            f"--map {free[0]}_command={commands[0]} makes it the goal of a servo of unknown gains there"
         )
         findings.append(Statement(text))
-    unknown = [one.name for _, one in pairs if one.role in ("unknown", "current", "torque")]
+    unknown = [column.name for _, column in pairs if column.role in ("unknown", "current", "torque")]
     for output in free:
         near = next((name for name in unknown if plain(output) in plain(name)), None)
         if near is not None:
@@ -519,18 +521,19 @@ def _of_robot(robot: Robot) -> list[Wanted]:
     }  # fmt: skip
     outputs = [
         Wanted(
-            one.output, one.unit, "output", (one.name, one.output), ("position", "unknown"), place,
-            len(robot.joints), one.range,
+            joint.output, joint.unit, "output", (joint.name, joint.output), ("position", "unknown"), place,
+            len(robot.joints), joint.range,
         )
-        for place, one in enumerate(robot.joints)
+        for place, joint in enumerate(robot.joints)
     ]  # fmt: skip
-    ranges = {one.name: one.range for one in robot.joints}
+    ranges = {joint.name: joint.range for joint in robot.joints}
     inputs = [
         Wanted(
-            one.input, one.unit, "input", tuple(dict.fromkeys((one.joint or one.name, one.name))),
-            roles[one.command], place, len(robot.actuators), ranges.get(one.joint),
+            actuator.input, actuator.unit, "input",
+            tuple(dict.fromkeys((actuator.joint or actuator.name, actuator.name))), roles[actuator.command], place,
+            len(robot.actuators), ranges.get(actuator.joint),
         )
-        for place, one in enumerate(robot.actuators)
+        for place, actuator in enumerate(robot.actuators)
     ]  # fmt: skip
     return [*inputs, *outputs]
 
@@ -547,9 +550,12 @@ def _of_model(model: Model | None) -> list[Wanted]:
         "current",
         "position",
     )
-    inputs = [Wanted(one.name, one.unit, "input", (one.name,), commands) for one in model.inputs]
+    inputs = [Wanted(signal.name, signal.unit, "input", (signal.name,), commands) for signal in model.inputs]
     measured: tuple[Any, ...] = ("position", "unknown", "velocity", "torque")
-    return [*inputs, *(Wanted(one.name, one.unit, "output", (one.name,), measured) for one in model.outputs)]
+    return [
+        *inputs,
+        *(Wanted(signal.name, signal.unit, "output", (signal.name,), measured) for signal in model.outputs),
+    ]
 
 
 def _left_out(table: LogTable, bad: Sequence[tuple[Piece, str]]) -> list[str]:
@@ -579,8 +585,8 @@ def _at_rest(table: LogTable, trials: Sequence[Piece]) -> bool:
 
 def _free(folder: Path) -> Path:
     number = 2
-    found = folder
-    while found.exists():
-        found = folder.with_name(f"{folder.name}-{number}")
+    free = folder
+    while free.exists():
+        free = folder.with_name(f"{folder.name}-{number}")
         number += 1
-    return found
+    return free

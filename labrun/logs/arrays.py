@@ -88,13 +88,13 @@ def streams_of(name: str, arrays: Arrays, options: ReadOptions) -> list[Stream]:
     common = {path: table for path, table in values.items() if _episode_of(path) is None}
     parts = [_streams(name, own, arrays, options) for own in episodes.values()]
     streams = _joined(parts, list(episodes))
-    said: list[Finding] = [
+    findings: list[Finding] = [
         *arrays.findings,
         Statement(f"{name}: {len(episodes)} groups are {len(episodes)} episodes, each a trial"),
     ]
     if common:
-        said.append(Statement(f"{name}: {', '.join(list(common)[:6])} outside of the episodes; left out"))
-    return _with_findings(streams, said)
+        findings.append(Statement(f"{name}: {', '.join(list(common)[:6])} outside of the episodes; left out"))
+    return _with_findings(streams, findings)
 
 
 def _table(given: Any) -> FloatArray | None:
@@ -127,13 +127,13 @@ def _joined(parts: Sequence[Sequence[Stream]], episodes: Sequence[int]) -> list[
     groups: dict[tuple[str, ...], list[tuple[int, Stream]]] = {}
     for episode, streams in zip(episodes, parts, strict=True):
         for stream in streams:
-            groups.setdefault(tuple(one.name for one in stream.columns), []).append((episode, stream))
+            groups.setdefault(tuple(column_.name for column_ in stream.columns), []).append((episode, stream))
     joined = []
     for members in groups.values():
         first = members[0][1]
         columns = tuple(
-            replace(one, values=np.concatenate([stream.columns[place].values for _, stream in members]))
-            for place, one in enumerate(first.columns)
+            replace(column_, values=np.concatenate([stream.columns[place].values for _, stream in members]))
+            for place, column_ in enumerate(first.columns)
         )
         findings = tuple(dict.fromkeys(finding for _, stream in members for finding in stream.findings))
         if len(members) < len(episodes):
@@ -189,9 +189,9 @@ def _streams(
             findings.append(Statement(text))
         streams.append(_stream(called, tables, stamps.time_s, arrays, findings))
     if alone:
-        left = ", ".join(f"{path} ({count})" for path, count in list(alone.items())[:8])
+        unmatched = ", ".join(f"{path} ({count})" for path, count in list(alone.items())[:8])
         counts = ", ".join(f"{path} {len(table)}" for path, table in list(clocks.items())[:4])
-        text = f"{name}: no stamps of as many samples for {left}; left out (stamps: {counts}; --time ARRAY=STAMPS)"
+        text = f"{name}: no stamps of as many samples for {unmatched}; left out (stamps: {counts}; --time ARRAY=STAMPS)"
         if streams:
             streams[0] = replace(streams[0], findings=(*streams[0].findings, Statement(text)))
         else:
@@ -278,11 +278,11 @@ def _stream(
             findings.append(
                 Statement(f"{path} has {table.shape[1]} columns and {len(labels)} names, which are not used")
             )
-        for place, one in enumerate(vector(path, table, labels)):
+        for place, part in enumerate(vector(path, table, labels)):
             unit = arrays.units.get(path, "") or (
                 arrays.units.get(labels[place], "") if labels and len(labels) == table.shape[1] else ""
             )
-            columns.append(replace(one, unit=unit) if unit else one)
+            columns.append(replace(part, unit=unit) if unit else part)
     return Stream(name, time_s, tuple(columns), episode=episode, findings=tuple(findings))
 
 

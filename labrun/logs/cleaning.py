@@ -191,8 +191,8 @@ def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[Finding]]:
         for match in matches:
             if match.stream is stream and match.column is not None:
                 finite &= np.isfinite(match.column.values)
-        good[id(stream)], told = repaired(stream, finite)
-        findings += told
+        good[id(stream)], repairs = repaired(stream, finite)
+        findings += repairs
     parts, outside, lost = [], 0, []
     own = good[id(base)]
     labels = None if base.episode is None else base.episode[own.index]
@@ -262,8 +262,8 @@ def joined(tables: Sequence[LogTable]) -> LogTable:
     if any(table.episode is not None for table in tables):
         episode = np.concatenate(
             [
-                np.zeros(len(one.time_s), dtype=np.int64) if one.episode is None else one.episode
-                for one in tables
+                np.zeros(len(table.time_s), dtype=np.int64) if table.episode is None else table.episode
+                for table in tables
             ]
         )
     return LogTable(
@@ -284,7 +284,7 @@ def _concatenated(
     """Return the parts one after another, each a period after the one before."""
     if not parts:
         return np.empty(0), np.empty(0, dtype=np.int64), np.empty((0, 0))
-    period = max((float(np.median(np.diff(one[0]))) for one in parts if len(one[0]) > 1), default=1.0)
+    period = max((float(np.median(np.diff(part[0]))) for part in parts if len(part[0]) > 1), default=1.0)
     times, begin = [], 0.0
     for time_s, _, _ in parts:
         if len(time_s):

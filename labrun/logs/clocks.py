@@ -128,7 +128,7 @@ def _on_one_clock(
 
 
 def _measured(stream: Stream, matches: Sequence[Match]) -> tuple[int, int]:
-    outputs = sum(one.stream is stream and one.wanted.kind == "output" for one in matches)
+    outputs = sum(match.stream is stream and match.wanted.kind == "output" for match in matches)
     return outputs, len(stream.time_s)
 
 
@@ -142,11 +142,11 @@ def _line(stream: Stream) -> _Line | None:
         return None
     at = np.array([float(np.median(block)) for block in np.array_split(receipt, _BLOCKS)])
     lead = np.array([float(np.median(block)) for block in np.array_split(stamps - receipt, _BLOCKS)])
-    slope, offset = (float(one) for one in np.polyfit(at - at[0], lead, 1))
-    left: FloatArray = lead - (offset + slope * (at - at[0]))
-    scatter = float(np.std(left)) * 2.0 * np.sqrt(3.0 / _BLOCKS)
+    slope, offset = (float(value) for value in np.polyfit(at - at[0], lead, 1))
+    residual: FloatArray = lead - (offset + slope * (at - at[0]))
+    scatter = float(np.std(residual)) * 2.0 * np.sqrt(3.0 / _BLOCKS)
     span = float(np.ptp(receipt))
-    return _Line(1.0 + slope, offset - slope * float(at[0]), span, float(np.max(np.abs(left))), scatter)
+    return _Line(1.0 + slope, offset - slope * float(at[0]), span, float(np.max(np.abs(residual))), scatter)
 
 
 def _offset(streams: Sequence[Stream]) -> list[Finding]:

@@ -43,6 +43,15 @@ class Question:
     answers: str = ""
     channel: str = ""
 
+    def to_json(self) -> dict[str, str | None]:
+        """Return the fields by name."""
+        return {
+            "text": self.text,
+            "proposal": self.proposal or None,
+            "answers": self.answers,
+            "channel": self.channel,
+        }
+
     def to_text(self) -> str:
         """Return question, proposal and other answers in one line."""
         ends = [f"proposal: {self.proposal}"] if self.proposal else []
@@ -72,7 +81,9 @@ def require_answered(findings: Sequence[Finding], columns: Sequence[str]) -> Non
         return
     shown = ", ".join(columns[:30]) + (f" and {len(columns) - 30} more" if len(columns) > 30 else "")
     lines = "\n".join(f"  {question.to_text()}" for question in open_questions)
-    proposals = [shlex.join(one.proposal.split(" ", 1)) for one in open_questions if one.proposal]
+    proposals = [
+        shlex.join(question.proposal.split(" ", 1)) for question in open_questions if question.proposal
+    ]
     hint = "answer each with its flag"
     if len(proposals) == len(open_questions):
         hint += f"; if all proposals are right: {' '.join(dict.fromkeys(proposals))}"

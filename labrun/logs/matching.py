@@ -135,14 +135,14 @@ def unused(matches: Sequence[Match], streams: Sequence[Stream]) -> list[Finding]
     """Return what the log holds of goals, torques and currents that no channel takes."""
     taken = {id(match.column) for match in matches if match.column is not None}
     roles = (*_COMMANDS, "torque", "current")
-    left = [
+    names = [
         column.name
         for stream in streams
         for column in stream.columns
         if column.role in roles and id(column) not in taken
     ]
-    more = f" and {len(left) - 12} more" if len(left) > 12 else ""
-    return [Statement(f"not used: {', '.join(left[:12])}{more}")] if left else []
+    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
+    return [Statement(f"not used: {', '.join(names[:12])}{more}")] if names else []
 
 
 def asked_for(channel: Wanted, asked: Mapping[str, str]) -> str | None:
@@ -274,7 +274,7 @@ def numbered(place: int, width: int, pairs: Sequence[tuple[Stream, Column]]) -> 
     """Return the column of a place where all of them are numbered, most likely in the robot's own order."""
     ends = [(_NUMBERED.fullmatch(column.stem), pair) for pair in pairs for column in (pair[1],)]
     order = sorted(
-        ((int(end["number"]), index) for index, (end, _) in enumerate(ends) if end), key=lambda one: one[0]
+        ((int(end["number"]), index) for index, (end, _) in enumerate(ends) if end), key=lambda pair: pair[0]
     )
     if len(order) != width or len({end["stem"] for end, _ in ends if end}) != 1:
         return None

@@ -93,12 +93,14 @@ def _width(kind: Any, pa: Any) -> int | None:
 def _numbers(column: Any, pa: Any) -> FloatArray | None:
     if _width(column.type, pa) == 2:
         flat = _numbers(column.flatten(), pa)
-        width, left = divmod(0 if flat is None else len(flat), max(len(column), 1))
-        return None if flat is None or left or not width or column.null_count else flat.reshape(-1, width)
+        width, remainder = divmod(0 if flat is None else len(flat), max(len(column), 1))
+        return (
+            None if flat is None or remainder or not width or column.null_count else flat.reshape(-1, width)
+        )
     if pa.types.is_timestamp(column.type):
         per_s = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[column.type.unit]
         counts = column.cast(pa.int64())
-        first = next((one.as_py() for one in counts if one.is_valid), 0)
+        first = next((count.as_py() for count in counts if count.is_valid), 0)
         since: FloatArray = np.array(counts.to_numpy(zero_copy_only=False) - first, dtype=np.float64) / per_s
         return since
     numbers: FloatArray = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
@@ -139,13 +141,13 @@ def _gripper_units(
 
 def _counted(path: Path, values: Mapping[str, Any], information: Mapping[str, Any]) -> list[Finding]:
     """Return what is said if the data set holds another number of episodes or samples than its description."""
-    said: list[Finding] = []
+    findings: list[Finding] = []
     rows = len(next(iter(values.values()), ()))
     episodes = len(np.unique(values["episode_index"])) if "episode_index" in values else 0
     for key, count in (("total_frames", rows), ("total_episodes", episodes)):
         stated = information.get(key)
         if isinstance(stated, int) and stated != count and count:
-            said.append(
+            findings.append(
                 Statement(f"{path.name}: meta/info.json states {key} {stated}, and {count} were found")
             )
-    return said
+    return findings

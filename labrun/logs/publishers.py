@@ -27,17 +27,19 @@ def separate_publishers(stream: Stream, chosen: Mapping[str, int]) -> tuple[Stre
     findings: list[Finding] = []
     columns = list(stream.columns)
     number = chosen.get(stream.name)
-    said = False
-    for stem in dict.fromkeys(one.stem for one in columns if one.stem):
-        own = [one for one in columns if one.stem == stem and one.role in ("position", "command")]
-        labels = next((found for one in own if (found := _writers(one, stream.publisher)) is not None), None)
+    is_listed = False
+    for stem in dict.fromkeys(column.stem for column in columns if column.stem):
+        own = [column for column in columns if column.stem == stem and column.role in ("position", "command")]
+        labels = next(
+            (guess for column in own if (guess := _writers(column, stream.publisher)) is not None), None
+        )
         if labels is None:
             continue
         writers = [int(label) for label in np.unique(labels[labels >= 0])]
         spans = [_span(own[0].values[labels == label]) for label in writers]
         moving = int(np.argmax([high - low for low, high, _ in spans]))
         kept = moving if number is None or not 1 <= number <= len(writers) else number - 1
-        if not said:
+        if not is_listed:
             listed = "; ".join(
                 f"{place}: {count} messages, {stem} {low:.4g} to {high:.4g}"
                 for place, (low, high, count) in enumerate(spans, 1)
@@ -52,11 +54,11 @@ def separate_publishers(stream: Stream, chosen: Mapping[str, int]) -> tuple[Stre
             else:
                 lost = int((labels != writers[kept]).sum())
                 findings.append(Statement(f"{text}; {number} is taken, and {lost} messages are left out"))
-            said = True
+            is_listed = True
         others = labels != writers[kept]
         columns = [
-            replace(one, values=np.where(others, np.nan, one.values)) if one.stem == stem else one
-            for one in columns
+            replace(column, values=np.where(others, np.nan, column.values)) if column.stem == stem else column
+            for column in columns
         ]
     return replace(stream, columns=tuple(columns)), findings
 

@@ -47,6 +47,8 @@ def read_ulg(path: Path) -> list[Stream]:
         raise RecordingError(f"{path} holds no topics")
     if log.dropouts:
         lost_s = sum(dropout.duration for dropout in log.dropouts) * 1e-3
-        told = Statement(f"{path.name}: {len(log.dropouts)} dropouts of the logger, {lost_s:.3g} s together")
-        streams[0] = Stream(streams[0].name, streams[0].time_s, streams[0].columns, findings=(told,))
+        dropouts = Statement(
+            f"{path.name}: {len(log.dropouts)} dropouts of the logger, {lost_s:.3g} s together"
+        )
+        streams[0] = Stream(streams[0].name, streams[0].time_s, streams[0].columns, findings=(dropouts,))
     return streams

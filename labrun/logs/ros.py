@@ -69,8 +69,12 @@ def read_bag(path: Path) -> list[Stream]:
     count = 0
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            passed = {one.topic: one.msgtype for one in reader.connections if not _kind(one.msgtype)}
-            wanted = [one for one in reader.connections if _kind(one.msgtype)]
+            passed = {
+                connection.topic: connection.msgtype
+                for connection in reader.connections
+                if not _kind(connection.msgtype)
+            }
+            wanted = [connection for connection in reader.connections if _kind(connection.msgtype)]
             zero = reader.start_time
             for connection, stamp, data in reader.messages(connections=wanted):
                 kind = kinds[connection.topic] = _kind(connection.msgtype)
@@ -152,16 +156,16 @@ def _point(message: Any, *names: str) -> Any:
 def _streams(topic: str, kind: str, writers: Sequence[_Writer], empty: int) -> Iterator[Stream]:
     """Yield a stream for all writers that name a joint together, in the order of receipt."""
     groups = _groups(writers)
-    said = []
+    findings = []
     if empty:
-        said.append(Statement(f"{topic}: {empty} message{'s' * (empty != 1)} without a joint or value"))
+        findings.append(Statement(f"{topic}: {empty} message{'s' * (empty != 1)} without a joint or value"))
     joints = {name for writer in writers for name in writer.names}
     partial = [writer for writer in writers if set(writer.names) != joints]
     if partial and kind not in _ARRAYS:
         most = max(writers, key=lambda writer: len(writer.order))
-        said.append(
+        findings.append(
             Statement(
-                f"{topic}: its messages name {len({frozenset(one.names) for one in writers})} different sets of "
+                f"{topic}: its messages name {len({frozenset(writer.names) for writer in writers})} different sets of "
                 f"joints, {len(joints)} together ({', '.join(sorted(joints)[:8])}); most often "
                 f"{', '.join(most.names[:8])}"
             )
@@ -169,7 +173,7 @@ def _streams(topic: str, kind: str, writers: Sequence[_Writer], empty: int) -> I
     for place, group in enumerate(groups):
         stream = _joined(topic, kind, group)
         yield Stream(
-            stream.name, stream.time_s, stream.columns, stream.received, None, () if place else tuple(said),
+            stream.name, stream.time_s, stream.columns, stream.received, None, () if place else tuple(findings),
             stream.receipt_s, stream.publisher,
         )  # fmt: skip
 
@@ -194,7 +198,9 @@ def _joined(topic: str, kind: str, writers: Sequence[_Writer]) -> Stream:
     rows = np.argsort(order, kind="stable")
     receipt_s = np.concatenate([np.asarray(writer.received_s) for writer in writers])[rows]
     stamped_s = np.concatenate([np.asarray(writer.stamped_s) for writer in writers])[rows]
-    publisher = np.concatenate([np.full(len(one.order), place) for place, one in enumerate(writers)])[rows]
+    publisher = np.concatenate([np.full(len(writer.order), place) for place, writer in enumerate(writers)])[
+        rows
+    ]
     names = list(dict.fromkeys(name for writer in writers for name in writer.names))
     columns: list[Column] = []
     for part in dict.fromkeys(part for writer in writers for part in writer.parts):
@@ -214,8 +220,8 @@ def _joined(topic: str, kind: str, writers: Sequence[_Writer]) -> Stream:
             if not np.isnan(table[:, place]).all():
                 columns.append(column(f"{topic}/{part}", name, table[:, place], unit=_PARTS[part]))
     if kind in _TRAJECTORIES:
-        begun = np.unique(stamped_s)
-        next_s = np.append(begun, np.inf)[np.searchsorted(begun, stamped_s, side="right")]
+        starts_s = np.unique(stamped_s)
+        next_s = np.append(starts_s, np.inf)[np.searchsorted(starts_s, stamped_s, side="right")]
         kept = receipt_s < next_s  # a trajectory runs from its receipt until the next one comes
         return Stream(topic, receipt_s, tuple(columns), received=True).at(kept)
     stamped = np.isfinite(stamped_s)

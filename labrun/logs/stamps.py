@@ -166,10 +166,10 @@ def _seconds(
     if not len(steps):
         return from_first * SCALES.get(unit, 1.0), ()
     step = float(np.median(steps))
-    rates_hz = {one: 1.0 / (step * scale) for one, scale in SCALES.items()}
+    rates_hz = {unit_: 1.0 / (step * scale) for unit_, scale in SCALES.items()}
     if unit and rates_hz[unit] >= _LEAST_HZ:
         return from_first * SCALES[unit], ()
-    likely = next((one for one, rate_hz in rates_hz.items() if rate_hz >= _LEAST_SURE_HZ), "ns")
+    likely = next((unit_ for unit_, rate_hz in rates_hz.items() if rate_hz >= _LEAST_SURE_HZ), "ns")
     if likely == "s":
         return from_first, ()
     text = f"{table}: stamps {name} step by {step:.6g}"
@@ -179,14 +179,14 @@ def _seconds(
         question = Question(
             text,
             f"--time-unit {likely}",
-            f"--time-unit {', '.join(one for one in SCALES if one != likely)}",
+            f"--time-unit {', '.join(unit_ for unit_ in SCALES if unit_ != likely)}",
             "time",
         )
         return from_first * SCALES[likely], (question,)
-    told = (
+    statement = (
         f"{text} and count {_WORDS[likely]} by that: {rates_hz[likely]:.4g} Hz (--time-unit if they do not)"
     )
-    return from_first * SCALES[likely], (Statement(told),)
+    return from_first * SCALES[likely], (Statement(statement),)
 
 
 def _compared(name: str, time_s: FloatArray, other: str, other_s: FloatArray) -> tuple[Finding, ...]:

@@ -45,7 +45,7 @@ def _tensor(storage: Any, offset: Any, shape: Any, stride: Any, *_: Any) -> Any:
     if last >= len(storage) or int(np.prod([float(n) for n in shape])) > len(storage):
         raise pickle.UnpicklingError("a tensor that is larger than its storage")
     step = storage.dtype.itemsize
-    view = np.lib.stride_tricks.as_strided(storage[offset:], shape, tuple(step * one for one in stride))
+    view = np.lib.stride_tricks.as_strided(storage[offset:], shape, tuple(step * count for count in stride))
     return view.copy()
 
 

@@ -110,9 +110,9 @@ def _read(path: Path, file: io.TextIOWrapper, findings: list[Finding]) -> TextTa
     dates = [place for place, cell in enumerate(cells) if is_iso(cell) and is_time(header[place])]
     table, texts = _parsed(path, chain(start, body), header, delimiter, dates, findings)
     for place in dates:
-        table[:, place], told = iso_seconds(texts[place], header[place])
+        table[:, place], date_findings = iso_seconds(texts[place], header[place])
         units[header[place]] = "s"
-        findings += told
+        findings += date_findings
     words = [name for place, name in enumerate(header) if np.isnan(table[:, place]).all()]
     arrays = {name: table[:, place] for place, name in enumerate(header) if name not in words}
     if not arrays:

@@ -82,11 +82,11 @@ def _between_rests(table: LogTable, piece: Piece, rests: Sequence[Piece]) -> lis
     """Cut in each rest inside, a fixed time before the next goal, so that repeats of a motion begin alike."""
     lead = max(1, round(REST_S / 2 / table.period_s))
     inputs = table.recorded("input")
-    told = np.flatnonzero((np.diff(table.values[:, inputs], axis=0) != 0.0).any(axis=1))
+    goal_changes = np.flatnonzero((np.diff(table.values[:, inputs], axis=0) != 0.0).any(axis=1))
     edges = [piece.first]
     for rest in rests:
         middle = (rest.first + rest.end) // 2
-        after = told[told >= middle]
+        after = goal_changes[goal_changes >= middle]
         if inputs and not len(after):
             break
         edge = max(rest.first, int(after[0]) - lead) if inputs else middle
@@ -152,11 +152,11 @@ def in_no_trial(table: LogTable, trials: Sequence[Piece], bad: Sequence[Piece]) 
     used = np.zeros(len(table.time_s), dtype=bool)
     for piece in (*trials, *bad):
         used[piece.first : piece.end] = True
-    left = int((~used).sum())
-    if not left:
+    unused = int((~used).sum())
+    if not unused:
         return []
     text = (
-        f"{left} samples ({left * table.period_s:.3g} s) are in no trial: rest before the first goal, or pieces "
+        f"{unused} samples ({unused * table.period_s:.3g} s) are in no trial: rest before the first goal, or pieces "
         f"shorter than {LEAST_TRIAL_S:g} s"
     )
     return [Statement(text)]

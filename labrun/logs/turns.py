@@ -97,7 +97,7 @@ def correct_turns(matches: Sequence[Match]) -> tuple[list[Match], list[Finding]]
         if match is not before and _apart(before, other) < _apart(match, other):
             # the joint followed a goal of a whole turn
             made[place] = before
-            findings[:] = [one for one in findings if one.channel != match.wanted.channel]
+            findings[:] = [finding for finding in findings if finding.channel != match.wanted.channel]
             match = before  # noqa: PLW2901
         shifted = _beside_goal(match, other, findings)
         if shifted is not other:
@@ -127,9 +127,9 @@ def _corrected(match: Match, findings: list[Finding]) -> Match:
         values[jump.row : end] -= jump.turns * jump.turn
     if lasting:
         after_gap = [
-            one for one in lasting if time_s[one.row] - time_s[one.row - 1] > _GAP_PERIODS * period_s
+            jump for jump in lasting if time_s[jump.row] - time_s[jump.row - 1] > _GAP_PERIODS * period_s
         ]
-        at = ", ".join(f"{time_s[one.row]:.3f}" for one in lasting[:5]) + (
+        at = ", ".join(f"{time_s[jump.row]:.3f}" for jump in lasting[:5]) + (
             ", ..." if len(lasting) > 5 else ""
         )
         lost = f"; {len(after_gap)} after a gap, as of a servo that was switched off" if after_gap else ""
@@ -185,9 +185,9 @@ def _beside_goal(goal: Match, measured: Match, findings: list[Finding]) -> Match
         finite = goal_rows[np.isfinite(goal.column.values[goal_rows])]
         if len(finite) < 2 or not np.isfinite(values[rows]).any():
             continue
-        told = np.interp(stream.time_s[rows], goal.stream.time_s[finite], goal.column.values[finite])
-        told = (told * goal.to_si[0] + goal.to_si[1] - measured.to_si[1]) / measured.to_si[0]
-        off = float(np.nanmedian(values[rows] - told)) / measured.turn
+        expected = np.interp(stream.time_s[rows], goal.stream.time_s[finite], goal.column.values[finite])
+        expected = (expected * goal.to_si[0] + goal.to_si[1] - measured.to_si[1]) / measured.to_si[0]
+        off = float(np.nanmedian(values[rows] - expected)) / measured.turn
         turns = round(off)
         if turns and abs(off - turns) < _OFF:
             values[rows] -= turns * measured.turn
@@ -225,20 +225,20 @@ def _apart(goal: Match, measured: Match) -> float:
     """Return the median distance of a goal from what is measured, rad."""
     if goal.stream is None or measured.stream is None:
         return math.inf
-    at, told = goal.stream.time_s, goal.in_si()
-    rows = np.isfinite(told) & np.isfinite(at)
+    at, goals = goal.stream.time_s, goal.in_si()
+    rows = np.isfinite(goals) & np.isfinite(at)
     values = measured.in_si()
     whole = np.isfinite(values) & np.isfinite(measured.stream.time_s)
     if rows.sum() < 2 or not whole.any():
         return math.inf
     order = np.argsort(at[rows], kind="stable")
-    beside = np.interp(measured.stream.time_s[whole], at[rows][order], told[rows][order])
-    return float(np.mean(np.abs(values[whole] - beside)))
+    expected = np.interp(measured.stream.time_s[whole], at[rows][order], goals[rows][order])
+    return float(np.mean(np.abs(values[whole] - expected)))
 
 
 def _lengths(jumps: Sequence[Jump]) -> str:
     return " and ".join(
-        f"{length:.6g}" for length in dict.fromkeys(abs(one.turns) * one.turn for one in jumps)
+        f"{length:.6g}" for length in dict.fromkeys(abs(jump.turns) * jump.turn for jump in jumps)
     )
 
 

@@ -65,18 +65,18 @@ class AskedUnits:
                     "gripper=percent for one joint, shoulder_torque=A:0.9 for a torque of 0.9 N m per ampere",
                 )  # fmt: skip
             asked[plain(name)] = unit, size
-        found: dict[str, float] = {}
+        numbers: dict[str, float] = {}
         for text in zeros:
             name, equals, value = text.rpartition("=")
             try:
-                found[plain(name)] = float(value)
+                numbers[plain(name)] = float(value)
             except ValueError:
                 equals = ""
             if not equals:
                 raise RequestError(
                     f"--zero {text}: a joint and a number were expected", hint="--zero shoulder=2048"
                 )
-        return cls(asked, found)
+        return cls(asked, numbers)
 
     def of(self, wanted: Wanted) -> tuple[str, float | None] | None:
         """Return the unit of a channel that was stated for it or for all."""
@@ -128,9 +128,9 @@ class _Joint:
     def values(self, kind: str | None = None) -> FloatArray:
         """Return all numbers of the joint; where an angle wrapped at a whole turn, as if it had not."""
         own = [
-            one.column.values[np.isfinite(one.column.values)]
-            for one in self.matches
-            if one.column is not None and kind in (None, one.wanted.kind)
+            match.column.values[np.isfinite(match.column.values)]
+            for match in self.matches
+            if match.column is not None and kind in (None, match.wanted.kind)
         ]
         if self.matches[0].wanted.unit == "rad":
             own = [without_jumps(without_jumps(values, 2 * math.pi), 360.0) for values in own]
@@ -145,7 +145,7 @@ class _Joint:
         if self.range is None or not len(values):
             return 0.0
         low, high = self.range
-        least, most = (factor * float(one) for one in np.quantile(values, [0.01, 0.99]))
+        least, most = (factor * float(end) for end in np.quantile(values, [0.01, 0.99]))
         return max(low - least, most - high, 0.0) / (high - low)
 
 
@@ -165,13 +165,13 @@ def decide_units(
     findings: list[Finding] = []
     open_: list[_Joint] = []
     for joint in joints:
-        said = next((unit for match in joint.matches if (unit := asked.of(match.wanted))), None)
+        stated_unit = next((unit for match in joint.matches if (unit := asked.of(match.wanted))), None)
         stated = {
             match.column.unit for match in joint.matches if match.column is not None and match.column.unit
         }
         stated &= set(_ANGLES_UNITS)
-        if said is not None:
-            units[joint.name] = *said, "as --unit says"
+        if stated_unit is not None:
+            units[joint.name] = *stated_unit, "as --unit says"
         elif len(stated) == 1:
             units[joint.name] = *_stated(joint, stated.pop(), findings), "as the log states"
         else:
@@ -305,7 +305,7 @@ def _ticks(largest: float, findings: list[Finding]) -> tuple[str, float, str]:
         Question(
             f"angles are whole numbers up to {largest:.0f}, more than {TICKS} ticks of a turn: how many has one?",
             proposal=f"--unit ticks:{size}",
-            answers="--unit rad or deg",
+            answers=f"--unit ticks:{TICKS} if a joint turned several times; --unit rad or deg",
         )
     )
     return "ticks", float(size), _PROPOSED
@@ -465,8 +465,8 @@ def _summaries(logs: Sequence[Sequence[Match]], asked: AskedUnits) -> list[Findi
     findings: list[Finding] = []
     for kind, words in (("output", "measured angles"), ("input", "goals")):
         angles = [
-            one for log in logs for one in log
-            if one.wanted.kind == kind and one.wanted.unit in _ANGLES and one.column is not None
+            match for log in logs for match in log
+            if match.wanted.kind == kind and match.wanted.unit in _ANGLES and match.column is not None
         ]  # fmt: skip
         groups: dict[tuple[str, str, float | None], list[str]] = {}
         for match in angles:

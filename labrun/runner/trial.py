@@ -25,6 +25,8 @@ BASELINE_INDEX = 2**31 - 1
 
 MOST_CHECKPOINT_BYTES = 1_000_000
 """A simulated bench remembers some seconds; one that remembers more has a list that grows."""
+_POINT_BYTES = 100
+"""Of a point of the trial's motion, which the bench may remember several times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,9 +324,11 @@ class TrialRunner:
         self._phase("store")
         if draft.recorded:
             draft.know(damage=self._damage.done_by(draft.outcome))
+        draft.know(checkpoint=self.checkpoint())
         try:
-            draft.know(checkpoint=self.checkpoint())
+            self._require_bounded_memory(draft)
         except ExperimentError as error:
+            draft.know(checkpoint=None)
             self._keep_unfinished(draft, writer, error)
             raise
         outcome = self._finish(draft, writer)
@@ -365,30 +369,31 @@ class TrialRunner:
         self._journal("baseline", spread=self.baseline.spread, drift=self.baseline.drift)
 
     def checkpoint(self) -> str:
-        """Return what a resumed run needs to go on from here, as JSON.
+        """Return what a resumed run needs to go on from here, as JSON."""
+        memory = self._bench.snapshot()
+        if self.baseline is not None:
+            memory["baseline"] = {"spread": list(self.baseline.spread), "drift": list(self.baseline.drift)}
+        return json.dumps(memory, default=json_ready)
+
+    def _require_bounded_memory(self, draft: _Draft) -> None:
+        """Make sure that the bench remembers no more than its last moments and the motion of this trial.
 
         Raises
         ------
         ExperimentError
-            It is larger than a bench's memory can be: the scene, or a device, keeps all of its past.
+            The scene, or a device, keeps all of its past.
         """
-        memory = self._bench.snapshot()
-        if self.baseline is not None:
-            memory["baseline"] = {"spread": list(self.baseline.spread), "drift": list(self.baseline.drift)}
-        text = json.dumps(memory, default=json_ready)
-        if len(text) > MOST_CHECKPOINT_BYTES:
-            raise self._too_much_memory(memory)
-        return text
-
-    def _too_much_memory(self, memory: Mapping[str, Any]) -> ExperimentError:
-        scene = scene_of(self._experiment.rig).plugin
+        points = 0 if draft.motion is None else draft.motion.trajectory.angle_rad.size
+        most = MOST_CHECKPOINT_BYTES + _POINT_BYTES * points
+        if draft.outcome.status == "failed" or len(draft.outcome.checkpoint or "") <= most:
+            return
+        memory = json.loads(draft.outcome.checkpoint or "{}")
         parts = {f"device {name}": part for name, part in memory.get("devices", {}).items()}
-        parts[f"the scene {scene}"] = memory.get("scene")
-        sizes = {name: len(json.dumps(part, default=json_ready)) for name, part in parts.items()}
+        parts[f"the scene {scene_of(self._experiment.rig).plugin}"] = memory.get("scene")
+        sizes = {name: len(json.dumps(part)) for name, part in parts.items()}
         name = max(sizes, key=lambda part: sizes[part])
-        return ExperimentError(
-            f"{name} returned a snapshot of {in_bytes(sizes[name])}; at most "
-            f"{in_bytes(MOST_CHECKPOINT_BYTES)} are kept with a trial",
+        raise ExperimentError(
+            f"{name} returned a snapshot of {in_bytes(sizes[name])}; at most {in_bytes(most)} are kept with this trial",
             hint="a list in it grows with every trial: let drive() drop what is over, as on the page "
             '"A scene of your own"',
         )

@@ -251,8 +251,10 @@ class UntilRecorder:
             return True  # stopped between the last cycle and its storing
         while log.cycles < until.max_cycles:
             sparing = until.judge_every > 1 and log.cycles >= until.keep_every
-            every = until.judge_every if sparing else until.keep_every
-            count = min(every - log.cycles % every, until.max_cycles - log.cycles)
+            place = log.cycles % until.keep_every
+            count = min(until.keep_every - place, until.max_cycles - log.cycles)
+            if sparing:
+                count = min(count, until.judge_every - place % until.judge_every)
             start_s = bench.clock.now() + LEAD_S
             bench.follow(_beginning(recording.motion.trajectory, count * period_s), start_s)
             if self._stretch(recording, log, start_s, period_s, 1 if sparing else count):

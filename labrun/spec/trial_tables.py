@@ -40,8 +40,10 @@ class Until(Table):
     @model_validator(mode="after")
     def _keeps_what_it_judges(self) -> Self:
         with TableFaults() as faults:
-            if self.keep_every % self.judge_every:
-                said = f"{self.judge_every} does not divide keep_every = {self.keep_every}: kept is what is measured"
+            if self.judge_every > self.keep_every:
+                said = (
+                    f"is above keep_every = {self.keep_every}: the motion goes out in stretches of keep_every"
+                )
                 faults.add("judge_every", said, of=("judge_every", "keep_every"))
         return self
 

@@ -96,9 +96,18 @@ def test_cycles_that_nobody_judges_are_moved_and_count_as_the_one_before(tiring)
     assert later[-1, 0] / later[0, 0] == pytest.approx(np.exp(-5 * (len(later) - 1) / 50.0), rel=0.05)
 
 
-def test_only_a_divisor_of_what_is_kept_can_be_judged(tiring):
-    with pytest.raises(ValidationError, match="3 does not divide keep_every = 10"):
-        tiring(trial__until={**SPARING, "judge_every": 3})
+@pytest.mark.parametrize("judge_every", [4, 5, 10])
+def test_samples_are_kept_of_the_same_cycles_however_many_are_judged(tiring, judge_every):
+    lab = tiring(
+        rig__scene__tires_s=None, trial__until={**SPARING, "max_cycles": 40, "judge_every": judge_every}
+    )
+    lab.session.measure(CONDITION)
+    assert sorted(set(np.floor(stored(lab.folder)[1]["cell"].time_s + 1e-6))) == [0, 10, 20, 30]
+
+
+def test_what_is_judged_less_often_than_the_motion_goes_out_is_refused(tiring):
+    with pytest.raises(ValidationError, match="is above keep_every = 10"):
+        tiring(trial__until={**SPARING, "judge_every": 11})
 
 
 @pytest.mark.parametrize(("until", "killed_after"), [

@@ -61,7 +61,7 @@ def check_inertias(spec: Any, path: Path, *, repair: bool) -> list[str]:
     if spec.compiler.balanceinertia:
         return []
     wrong: list[str] = []
-    said = []
+    remarks = []
     for body in spec.bodies[1:]:
         if not body.explicitinertial or not np.isfinite(body.mass) or body.mass <= 0.0:
             continue
@@ -82,7 +82,7 @@ def check_inertias(spec: Any, path: Path, *, repair: bool) -> list[str]:
             else:
                 body.inertia = np.diag(possible)
             changed = float(np.linalg.norm(possible - matrix) / np.linalg.norm(matrix))
-            said.append(
+            remarks.append(
                 f"no body can have the inertia of {wrong[-1]}: replaced by the nearest possible one, "
                 f"{_listed(_moments(possible))} kg m^2, {changed:.0%} off"
             )
@@ -92,7 +92,7 @@ def check_inertias(spec: Any, path: Path, *, repair: bool) -> list[str]:
             "other two together, and none is zero or less",
             hint="look at its units and digits; labrun import --repair goes on with the nearest possible inertia",
         )
-    return said
+    return remarks
 
 
 def _moments(matrix: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from labrun.app.fit import fit
 from labrun.cli.app import app
 from labrun.models import load_model, simulate
 from labrun.spec import load_experiment, shipped_experiments
@@ -36,13 +37,14 @@ def test_all_trials_are_accepted_and_go_as_far_as_they_were_sent(finished):
         assert sense * outcome.objectives["greatest"] == pytest.approx(expected, rel=0.12)
 
 
-def test_the_fit_finds_stiffness_and_limit_of_the_mounted_beam(finished):
-    done = labrun(finished[0], "fit", "beam-bending", "--json")
-    assert done.exit_code == 0, done.output
-    found = {name: one["value"] for name, one in json.loads(done.stdout)["parameters"].items()}
-    assert found["stiffness"] == pytest.approx(2.0, rel=0.05)
-    assert found["limit"] == pytest.approx(0.1, rel=0.1)
-    assert found["buckled_stiffness"] == pytest.approx(0.1, rel=0.1)
+def test_the_intervals_of_the_fit_hold_stiffness_limit_and_loop_of_the_beams_that_are_clamped(finished):
+    found = fit(finished[1], results=finished[0], starts=1)
+    truth = {"stiffness": 2.0, "limit": 0.1, "buckled_stiffness": 0.1, "loop": 0.003}
+    for name, value in truth.items():
+        low, high = found.parameters[name].ci95
+        assert low < value < high
+        assert found.parameters[name].value == pytest.approx(value, rel=0.1)
+    assert any("3 mountings" in warning for warning in found.warnings)
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_numbers(finished):
