@@ -170,7 +170,9 @@ def decide_units(
             match.column.unit for match in joint.matches if match.column is not None and match.column.unit
         }
         stated &= set(_ANGLES_UNITS)
-        if stated_unit is not None:
+        own = any(plain(name) in asked.units for match in joint.matches for name in _names(match.wanted))
+        # what is said of all angles is not said of a gripper that its data set states to be in percent
+        if stated_unit is not None and (own or stated != {"percent"}):
             units[joint.name] = *stated_unit, "as --unit says"
         elif len(stated) == 1:
             units[joint.name] = *_stated(joint, stated.pop(), findings), "as the log states"
@@ -192,6 +194,10 @@ def check_ranges(logs: Sequence[Sequence[Match]]) -> list[Finding]:
     """Return what is said and asked of joints that were measured outside of their range in the model."""
     names = dict.fromkeys(match.wanted.names[0] for log in logs for match in log)
     return [finding for name in names for finding in _beyond(name, logs)]
+
+
+def _names(wanted: Wanted) -> tuple[str, ...]:
+    return (wanted.channel, *wanted.names)
 
 
 def _joints(matches: Sequence[Match]) -> list[_Joint]:

@@ -57,14 +57,15 @@ def test_the_gripper_of_a_known_lerobot_robot_needs_no_question(tmp_path, hand, 
     )
     asked = preview_log(folder, hand).questions
     assert [question.text for question in asked if "gripper" in question.text] == []
-    result = import_log(folder, hand, tmp_path / "recording", unit="deg")
-    assert (
-        any("gripper are in percent" in text and "as the log states" in text for text in result.remarks)
-        is False
-    )
-    answers = LogAnswers(units=["shoulder=deg"])
-    result = import_log(folder, hand, tmp_path / "other", answers=answers)
-    assert any("gripper are in percent" in text and "as the log states" in text for text in result.remarks)
+    for number, units in enumerate((["deg"], ["shoulder=deg"])):
+        answers = LogAnswers(units=units)
+        result = import_log(folder, hand, tmp_path / f"recording{number}", answers=answers)
+        assert any(
+            "gripper are in percent" in text and "as the log states" in text for text in result.remarks
+        )
+    answers = LogAnswers(units=["deg", "gripper=deg"])
+    result = import_log(folder, hand, tmp_path / "degrees", answers=answers)
+    assert "measured angles are in degrees, as --unit says" in result.remarks
 
 
 def decided(reach, ranges, asked=()):
