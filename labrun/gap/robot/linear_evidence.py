@@ -128,6 +128,27 @@ class LinearEvidence:
         values[active] = _solve(matrix[np.ix_(active, active)] + np.diag(ridge), right)
         return values
 
+    def resampled(self, active: IntArray, drawn: IntArray, rng: np.random.Generator) -> FloatArray:
+        """Return the coefficients (draws, active) of fits to resampled units and redrawn stated values.
+
+        Parameters
+        ----------
+        drawn : (draws, units)
+            Units of each draw, as `labrun.gap.decide.resamples` returns them.
+        """
+        each = [self.normal(row) for row in np.eye(self.units)]
+        matrices = np.array([matrix[np.ix_(active, active)] for matrix, _ in each])
+        rights = np.array([right[active] for _, right in each])
+        ridge = self.ridge[active]
+        stated = np.where(self.precision[active] > 0.0, np.sqrt(1.0 / np.maximum(self.precision[active], 1e-300)), 0.0)
+        values = []
+        for row in drawn:
+            counts = np.bincount(row, minlength=self.units).astype(float)
+            prior = stated * rng.standard_normal(len(active))
+            matrix = np.tensordot(counts, matrices, 1) + np.diag(ridge)
+            values.append(_solve(matrix, counts @ rights + ridge * prior))
+        return np.array(values)
+
     @cached_property
     def _folds(self) -> tuple[FloatArray, FloatArray]:
         folds = [self.normal(1.0 - np.eye(self.units)[unit]) for unit in range(self.units)]
@@ -167,8 +188,8 @@ class LinearEvidence:
 
         Returns
         -------
-        [((units, joints), (group,))]
-            Mean squared residuals, and the coefficients of the group as the mean over the fits.
+        [((units, joints), (units, group))]
+            Mean squared residuals, and the coefficients of the group in each fit.
         """
         if not groups:
             return []
@@ -189,7 +210,7 @@ class LinearEvidence:
             new = np.array([_solve(one, side) for one, side in zip(inner, left[:, rows], strict=True)])
             old = base - np.einsum("uka,ua->uk", ways[:, :, rows], new)
             both = np.concatenate([old, new], axis=1)
-            errors.append((self._errors(np.concatenate([active, group]), both, wanted), new.mean(axis=0)))
+            errors.append((self._errors(np.concatenate([active, group]), both, wanted), new))
         return errors
 
     def reweighed(self, errors: FloatArray, independent: FloatArray) -> "LinearEvidence":

@@ -4,7 +4,7 @@ Each joint has rows of its own: its logged torque less what the robot as stated 
 the difference. All pass the same low pass (see `labrun.gap.robot.inverse_dynamics`).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,12 +64,15 @@ class Column:
         A speed, a number of periods, a body, or an axis; of a coupled column the sign of the joint before.
     spread
         How far its coefficient may be from zero; infinite if nothing is known.
+    phase
+        Of a periodic force: 0 for its sine, 1 for its cosine.
     """
 
     kind: str
     joint: int = WHOLE
     detail: float = 0.0
     spread: float = np.inf
+    phase: int = 0
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,9 @@ class JointRows:
 
     Attributes
     ----------
+    time_s : (n,)
+    q : (n,)
+        Of the joint.
     links : (n, 10 bodies)
         What each inertial parameter asks, in units of how far it may be off.
     own : (n, columns)
@@ -87,6 +93,8 @@ class JointRows:
         Which rows of the trial these are.
     """
 
+    time_s: FloatArray
+    q: FloatArray
     links: FloatArray
     own: FloatArray
     stated: FloatArray
@@ -109,6 +117,8 @@ class TorqueLog:
     tolerance : (10 bodies,)
         How far each inertial parameter may be off, SI.
     sign_speed, peak_rate : (joints,)
+    courses, moved : per trial
+        The trials at their full rate, and their motion.
     dead : per joint
         Why a joint's torque says nothing; "" if it does.
     """
@@ -123,6 +133,8 @@ class TorqueLog:
     tolerance: FloatArray
     sign_speed: FloatArray
     peak_rate: FloatArray
+    courses: tuple[Course, ...]
+    moved: tuple[Moved, ...]
     dead: tuple[str, ...]
 
     def scaled(self, factors: FloatArray) -> "TorqueLog":
@@ -132,6 +144,52 @@ class TorqueLog:
             scale = np.array([_by_torque(column.kind, factor) for column in columns])
             made.append(tuple(replace(one, own=one.own * scale, torque=one.torque * factor) for one in rows))
         return replace(self, rows=tuple(made))
+
+
+    def with_periods(self, residual: Sequence[Sequence[FloatArray]]) -> "TorqueLog":
+        """Return the same with columns for forces that are periodic in the position of a joint.
+
+        Parameters
+        ----------
+        residual : per joint, per trial (n,)
+            What is left of the torque; the periods that explain most of it are taken, if they explain a share that
+            matters.
+        """
+        rows, columns = list(self.rows), list(self.own_columns)
+        for joint, left in enumerate(residual):
+            for periods in _periods(self.rows[joint], left):
+                added = []
+                for course, moved, one in zip(self.courses, self.moved, rows[joint], strict=True):
+                    turned = periods * moved.q[:, joint]
+                    waves = low_passed(np.column_stack([np.sin(turned), np.cos(turned)]), course.step_s, self.cut.hz)
+                    waves = decimated(waves, course, self.cut.hz)[one.moving]
+                    added.append(replace(one, own=np.concatenate([one.own, waves], axis=1)))
+                rows[joint] = tuple(added)
+                columns[joint] += tuple(Column("cogging", joint, periods, np.inf, phase) for phase in (0, 1))
+        return replace(self, rows=tuple(rows), own_columns=tuple(columns))
+
+
+def _periods(rows: Sequence[JointRows], residual: Sequence[FloatArray]) -> list[float]:
+    """Return the numbers of periods in 2 pi rad that explain most of a residual; none where they explain little."""
+    if not sum(len(one.q) for one in rows):
+        return []
+    q, left = np.concatenate([one.q for one in rows]), np.concatenate(residual)
+    travel = 0.5 * float(np.ptp(q))
+    grid = np.linspace(_LEAST_PERIODS, _LEAST_PERIODS + 0.25 * np.pi * _SCANNED_PERIODS, _SCANNED_PERIODS) / travel
+    squares = float(left @ left)
+    shares = []
+    for periods in grid:
+        waves = np.column_stack([np.sin(periods * q), np.cos(periods * q)])
+        products = waves.T @ left
+        shares.append(float(products @ np.linalg.lstsq(waves.T @ waves, products, rcond=1e-9)[0]) / squares)
+    kept: list[float] = []
+    for place in np.argsort(shares)[::-1]:
+        apart = all(abs(grid[place] - other) * travel > np.pi for other in kept)
+        if len(kept) == _PERIODS_KEPT or shares[place] < 1.0 - np.exp(-criteria.MARGIN):
+            break
+        if apart:
+            kept.append(float(grid[place]))
+    return kept
 
 
 def _by_torque(kind: str, factor: float) -> float:
@@ -178,13 +236,20 @@ def torque_log(robot: Robot, terms: RobotTerms, dataset: Dataset) -> TorqueLog:
             passed, count = passed[is_moving], len(own)
             rows[joint].append(
                 JointRows(
-                    passed[:, count + 2 :], passed[:, :count], passed[:, count], passed[:, count + 1], is_moving
+                    decimated(course.time_s, course, cut.hz)[is_moving],
+                    decimated(moving.q[:, joint], course, cut.hz)[is_moving],
+                    passed[:, count + 2 :],
+                    passed[:, :count],
+                    passed[:, count],
+                    passed[:, count + 1],
+                    is_moving,
                 )
             )
             own_columns[joint] = tuple(own)
     log = TorqueLog(
         tuple(names), regressor, tuple(tuple(one) for one in rows), tuple(own_columns),
-        tuple(course.label for course in courses), cut, courses[0].step_s, tolerance, speed, peak, dead,
+        tuple(course.label for course in courses), cut, courses[0].step_s, tolerance, speed, peak,
+        tuple(courses), tuple(moved), dead,
     )  # fmt: skip
     return log
 
@@ -341,6 +406,39 @@ class Regression:
     link_directions: FloatArray
     freed_directions: Mapping[int, FloatArray]
     independent: FloatArray
+
+    def residual(self, values: FloatArray) -> list[list[FloatArray]]:
+        """Return what coefficients of all columns leave of every row, per joint and trial."""
+        return [
+            [one.torque - made for one, made in zip(rows, predicted, strict=True)]
+            for rows, predicted in zip(self.log.rows, self.predicted(values), strict=True)
+        ]
+
+    def predicted(self, values: FloatArray) -> list[list[FloatArray]]:
+        """Return the torque that coefficients of all columns make, per joint and trial, (n,)."""
+        links = self.deviation(values).ravel() / self.log.tolerance
+        place = {column: number for number, column in enumerate(self.columns)}
+        made = []
+        for rows, columns in zip(self.log.rows, self.log.own_columns, strict=True):
+            own = np.array([values[place[column]] if column in place else 0.0 for column in columns])
+            made.append([one.stated + one.links @ links + one.own @ own for one in rows])
+        return made
+
+    def deviation(self, values: FloatArray, freed: Collection[int] | None = None) -> FloatArray:
+        """Return how far inertial parameters are from what is stated, (bodies, 10).
+
+        Parameters
+        ----------
+        freed
+            Bodies whose loads count; where given, nothing else does.
+        """
+        total = np.zeros(len(self.log.tolerance))
+        if freed is None:
+            total += self.link_directions @ values[self.places("link")]
+        for body, directions in self.freed_directions.items():
+            if freed is None or body in freed:
+                total += directions @ values[self.places("freed", None, float(body))]
+        return total.reshape(-1, 10)
 
     def places(self, kind: str, joint: int | None = None, detail: float | None = None) -> IntArray:
         """Return the places of columns of a kind."""

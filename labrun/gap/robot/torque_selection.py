@@ -24,7 +24,7 @@ _GAIN_ERRORS = (-0.9, 2.0)
 """Range of the error of a drive's gain, as in the library of effects."""
 COUPLED = "coupled "
 """Before the name of an effect whose motor acts on the joint before, too."""
-_FORMS: Sequence[tuple[str, tuple[str, ...], str]] = (
+FORMS: Sequence[tuple[str, tuple[str, ...], str]] = (
     ("coulomb-friction", (), "coulomb"),
     ("viscous-damping", (), "viscous"),
     ("constant-force", (), "offset"),
@@ -55,7 +55,10 @@ class Candidate:
     site
         Name of the joint, of the body that carries a load, or ``base``.
     columns
-        Places of its columns in the regression.
+        Places of its own columns in the regression.
+    needs
+        Places of the columns of a simpler form that must be a cause already: friction is asymmetric, or rises at low
+        speed, in addition to its level.
     shapes
         Parameters beside its coefficients: a speed or a number of periods, from a grid.
     rank
@@ -74,6 +77,7 @@ class Candidate:
     scope: tuple[int, ...]
     shapes: int = 0
     detail: float = 0.0
+    needs: frozenset[int] = frozenset()
 
     @property
     def name(self) -> tuple[str, str]:
@@ -139,7 +143,7 @@ class Selection:
 def candidates(found: Regression, library: Collection[str]) -> list[Candidate]:
     """Return what may be missing, of the effects in the library."""
     made = []
-    for rank, (effect, shared, own) in enumerate(_FORMS):
+    for rank, (effect, shared, own) in enumerate(FORMS):
         if effect.removeprefix(COUPLED) not in library:
             continue
         for joint in found.looked_at:
@@ -148,19 +152,23 @@ def candidates(found: Regression, library: Collection[str]) -> list[Candidate]:
                 continue
             details = sorted({found.columns[place].detail for place in found.places(own, joint)})
             for detail in details:
-                columns = frozenset([*beside, *map(int, found.places(own, joint, detail))])
+                columns = frozenset(map(int, found.places(own, joint, detail)))
                 scope = sorted({number for place in columns for number in found.acting(place)})
                 shapes = int(own in ("stribeck", "cogging"))
                 site = found.log.joints[joint]
-                made.append(Candidate(effect, joint, site, columns, rank, tuple(scope), shapes, detail))
+                made.append(
+                    Candidate(
+                        effect, joint, site, columns, rank, tuple(scope), shapes, detail, frozenset(beside)
+                    )
+                )
     everywhere = tuple(range(len(found.looked_at)))
     if "gravity-tilt" in library and len(found.places("tilt")):
         columns = frozenset(map(int, found.places("tilt")))
-        made.append(Candidate("gravity-tilt", WHOLE, "base", columns, len(_FORMS), everywhere))
+        made.append(Candidate("gravity-tilt", WHOLE, "base", columns, len(FORMS), everywhere))
     for body, name in enumerate(found.log.regressor.bodies if "payload" in library else ()):
         columns = frozenset(map(int, found.places("freed", None, float(body))))
         if columns:
-            rank = len(_FORMS) + 1 + (body != found.log.regressor.tip)
+            rank = len(FORMS) + 1 + (body != found.log.regressor.tip)
             made.append(Candidate("payload", WHOLE, name, columns, rank, everywhere, 0, float(body)))
     return made
 
@@ -237,7 +245,7 @@ class _Search:
         beside.recalibrated = beside.evidence.unseen(beside.base)
         whole, causes = [[one] for one in self.every if one.joint == WHOLE], list[Candidate]()
         while added := beside.best(causes, whole):
-            causes = _merged(causes, added)
+            causes += added
             beside.reweigh(causes)
         return causes
 
@@ -246,16 +254,28 @@ class _Search:
         causes = list(causes)
         for _ in range(_MOST_ROUNDS * len(self.found.looked_at)):
             self.reweigh(causes)
-            added = self.best(causes, [[candidate] for candidate in self.every])
+            added = self.best(causes, [[candidate] for candidate in self._offered(causes)])
             if not added:
                 added = self.best(causes, list(self._pairs(causes)))
             if not added:
                 break
-            causes = _merged(causes, added)
+            causes += added
         return causes
 
+    def _offered(self, causes: Sequence[Candidate]) -> Iterator[Candidate]:
+        """Yield the candidates whose simpler forms are causes, and at joints without another richer form."""
+        known = {place for cause in causes for place in cause.columns}
+        richer = {cause.joint for cause in causes if cause.needs}
+        for candidate in self.every:
+            if candidate.needs <= known and not (candidate.needs and candidate.joint in richer):
+                yield candidate
+
     def _pairs(self, causes: Sequence[Candidate]) -> Iterator[list[Candidate]]:
-        simple = [candidate for candidate in self.every if len(candidate.columns) == 1 and len(candidate.scope) == 1]
+        simple = [
+            candidate
+            for candidate in self.every
+            if len(candidate.columns) == 1 and len(candidate.scope) == 1 and not candidate.needs
+        ]
         for one, other in combinations(simple, 2):
             if one.joint == other.joint:
                 yield [one, other]
@@ -294,7 +314,7 @@ class _Search:
         ordered = [np.array(sorted(group)) for group in groups]
         made = self.evidence.unseen_with(active, ordered, scopes)
         return [
-            errors if all(map(_is_possible, (self.found.columns[place] for place in group), values)) else before
+            errors if all(map(_is_possible, (self.found.columns[place] for place in group), values.mean(axis=0))) else before
             for group, (errors, values) in zip(ordered, made, strict=True)
         ]
 
@@ -326,7 +346,7 @@ class _Search:
             after, values = self.evidence.unseen(active), self.evidence.fit(active)
             needless = []
             for candidate in causes:
-                others = _without(causes, candidate, self.every)
+                others = _without(causes, candidate)
                 before = self.evidence.unseen(self.active(others))
                 base, with_it = (self.logs(errors, candidate.scope, after) for errors in (before, after))
                 possible = all(_is_possible(self.found.columns[place], values[place]) for place in candidate.columns)
@@ -344,11 +364,11 @@ class _Search:
         for candidate in list(causes):
             if candidate not in causes:
                 continue
-            others = _without(causes, candidate, [])
+            others = _without(causes, candidate)
             rows, errors, complexity, _ = self.in_place_of(candidate, others)
             leader = rows[decide.leader(errors, complexity)]
             if leader.columns != candidate.columns:
-                causes = _merged(others, [leader])
+                causes = [*others, leader, *(one for one in causes if one.needs and one.needs <= leader.columns)]
         return causes
 
     def in_place_of(
@@ -359,7 +379,7 @@ class _Search:
         known = set(active.tolist())
         rows = [
             other
-            for other in self.every
+            for other in self._offered(others)
             if not other.columns <= known
             and (other.scope == candidate.scope or (candidate.joint == WHOLE and other.joint == WHOLE))
         ]
@@ -373,7 +393,7 @@ class _Search:
 
     def rated(self, causes: Sequence[Candidate], candidate: Candidate, rng: np.random.Generator) -> Selected:
         """Return a cause with how often it wins, and its rivals."""
-        others = _without(causes, candidate, [])
+        others = _without(causes, candidate)
         rows, errors, complexity, base = self.in_place_of(candidate, others)
         own = next(number for number, row in enumerate(rows) if row.columns == candidate.columns)
         near = [rows[number] for number in decide.near_best(errors) if number != own]
@@ -383,14 +403,13 @@ class _Search:
             row
             for row in near
             if row.name != candidate.name
-            and not row.columns > candidate.columns
             and len(row.columns - known) + row.shapes <= size
         ]
         strata = self.found.evidence.strata
         seen = np.isfinite(self.evidence.unseen(self.active(others))[:, list(candidate.scope)]).any(axis=1)
         drawn = decide.resamples(strata[seen], _DRAWS, rng)
         wins = decide.win_frequencies(base, errors, complexity, drawn)
-        share = sum(float(wins[number]) for number, row in enumerate(rows) if row.columns >= candidate.columns)
+        share = sum(float(wins[number]) for number, row in enumerate(rows) if row.name == candidate.name)
         without = float(np.exp(0.5 * np.mean(base - errors[own])))
         unique = {row.name: row for row in reversed(rivals)}
         return Selected(candidate, share, tuple(reversed(unique.values())), without)
@@ -410,18 +429,22 @@ def _union(base: IntArray, causes: Sequence[Candidate]) -> IntArray:
     return np.array(sorted({*map(int, base), *(place for one in causes for place in one.columns)}), dtype=np.int64)
 
 
-def _merged(causes: Sequence[Candidate], added: Sequence[Candidate]) -> list[Candidate]:
-    """Return causes with further ones, simpler forms of which go."""
-    kept = [one for one in causes if not any(one.columns <= other.columns for other in added)]
-    return [*kept, *added]
+def _without(causes: Sequence[Candidate], candidate: Candidate) -> list[Candidate]:
+    """Return the other causes, without those that are richer forms of this one."""
+    return [one for one in causes if one is not candidate and not one.needs & candidate.columns]
 
 
-def _without(causes: Sequence[Candidate], candidate: Candidate, simpler: Sequence[Candidate]) -> list[Candidate]:
-    """Return the other causes; of a richer form, its simpler one stays where that is known."""
-    others = [one for one in causes if one is not candidate]
-    within = [
-        one
-        for one in simpler
-        if one.columns < candidate.columns and one.joint == candidate.joint and len(candidate.columns) == 2
-    ]
-    return [*others, *within[:1]]
+def told_together(causes: Sequence[Selected]) -> list[Selected]:
+    """Return causes with each richer form in place of the simpler one that it contains."""
+    richer = {place: one for one in causes for place in one.candidate.needs}
+    told = []
+    for one in causes:
+        if one.candidate.needs:
+            continue
+        form = next((richer[place] for place in one.candidate.columns if place in richer), None)
+        if form is None:
+            told.append(one)
+            continue
+        both = replace(form.candidate, columns=form.candidate.columns | one.candidate.columns)
+        told.append(replace(form, candidate=both, wins=min(form.wins, one.wins), without=one.without))
+    return told
