@@ -119,12 +119,14 @@ class RobotDiagnosis:
         count = f"{len(self.named)} of {len(self.joints)} joints lack physics: " if several else ""
         rest = f"; not in the library: {', '.join(unexplained)}" if unexplained else ""
         rest += f"; far from what is stated: {', '.join(far)}" if far and found else ""
+        if self.headline and not found:
+            return f"{'; '.join(self.headline)}{rest}."
         first = "".join(f"{sentence}; " for sentence in self.headline)
         return f"{first}{count}{told}{rest}."
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap diagnose --json`` prints, with what makes the corrected model."""
-        found = bool(self.named or self.whole)
+        found = bool(self.named or self.whole or self.headline)
         return {
             "verdict": "explained" if found else "no-gap",
             "sentence": self.sentence,

@@ -201,6 +201,7 @@ class _Telling:
         headline = [
             *(sentence for sentence in self.answer.units.sentences),
             *(self.load_words(cause) for cause in causes if cause.name.effect == "payload"),
+            *(self.tilt_words(cause) for cause in causes if cause.name.effect == "gravity-tilt"),
         ]
         return RobotDiagnosis(
             self.robot.name, self.model.name, str(self.dataset.source), joints, tuple(wholes), tuple(effects),
@@ -224,6 +225,11 @@ class _Telling:
             return f"the robot carries {mass.value:.2g} kg at {body}"
         place = ", ".join(f"{cause.values[axis].value:.2g}" for axis in "xyz")
         return f"the robot carries {mass.value:.2g} kg at ({place}) m of {body}"
+
+    def tilt_words(self, cause: Cause) -> str:
+        """Return a tilt as a sentence without an end."""
+        roll, pitch = (cause.values[axis].value for axis in ("roll", "pitch"))
+        return f"the base is tilted by {roll:.2g} rad (roll) and {pitch:.2g} rad (pitch)"
 
     def cause(self, selected: Selected) -> Cause:
         candidate = selected.candidate

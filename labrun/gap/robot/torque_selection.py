@@ -22,6 +22,8 @@ _MOST_ROUNDS = 12
 _POSITIVE = ("coulomb", "viscous", "load", "stribeck", "coupled-inertia", "coupled-coulomb")
 _GAIN_ERRORS = (-0.9, 2.0)
 """Range of the error of a drive's gain, as in the library of effects."""
+_MOST_TIGHTENING = 20
+"""Steps by which links are held closer to what is stated until none is beyond its tolerance: each quarters a variance."""
 COUPLED = "coupled "
 """Before the name of an effect whose motor acts on the joint before, too."""
 FORMS: Sequence[tuple[str, tuple[str, ...], str]] = (
@@ -229,9 +231,28 @@ class _Search:
         return _union(self.base, causes)
 
     def reweigh(self, causes: Sequence[Candidate]) -> None:
+        """Tell everything in units of what these causes leave, with links that stay within their tolerances."""
+        active = self.active(causes)
+        self.evidence = replace(self.evidence, precision=self.found.evidence.precision)
         for _ in range(2):
-            errors = self.evidence.unseen(self.active(causes))
+            errors = self.evidence.unseen(active)
             self.evidence = self.evidence.reweighed(errors, self.found.independent)
+        self.evidence = self.tightened(active)
+
+    def tightened(self, active: IntArray) -> LinearEvidence:
+        """Return the evidence with links held so closely to what is stated that a model needs none beyond tolerance."""
+        links = self.found.places("link")
+        precision = self.found.evidence.precision
+        # in units of their tolerances the squares of base parameters add up to a chi-square variable
+        most = len(links) + criteria.WITHIN_TOLERANCES * np.sqrt(2.0 * len(links))
+        evidence = replace(self.evidence, precision=precision)
+        for _ in range(_MOST_TIGHTENING):
+            if float(np.sum(np.square(evidence.fit(active)[links]))) <= most:
+                break
+            precision = precision.copy()
+            precision[links] *= 4.0
+            evidence = replace(evidence, precision=precision)
+        return evidence
 
     def of_the_whole(self) -> list[Candidate]:
         """Return what the robot as a whole lacks, beside friction and offsets of any size at all joints.
@@ -289,7 +310,7 @@ class _Search:
         if not new:
             return []
         before = self.evidence.unseen(active)
-        tables = self.admissible(active, [columns for _, columns in new], [each[0].scope for each, _ in new], before)
+        tables = self.admissible(self.evidence, active, [columns for _, columns in new], [each[0].scope for each, _ in new], before)
         gains = [
             sum(float(np.mean(self.logs(before, [joint], before) - self.logs(after, [joint], before))) for joint in each[0].scope)
             for (each, _), after in zip(new, tables, strict=True)
@@ -308,11 +329,12 @@ class _Search:
         return new[max(leaders, key=lambda number: gains[number])][0]
 
     def admissible(
-        self, active: IntArray, groups: Sequence[Collection[int]], scopes: Sequence[Sequence[int]], before: FloatArray
+        self, evidence: LinearEvidence, active: IntArray, groups: Sequence[Collection[int]],
+        scopes: Sequence[Sequence[int]], before: FloatArray,
     ) -> list[FloatArray]:
         """Return the errors with each group of columns; those before where its sizes are none that nature has."""
         ordered = [np.array(sorted(group)) for group in groups]
-        made = self.evidence.unseen_with(active, ordered, scopes)
+        made = evidence.unseen_with(active, ordered, scopes)
         return [
             errors if all(map(_is_possible, (self.found.columns[place] for place in group), values.mean(axis=0))) else before
             for group, (errors, values) in zip(ordered, made, strict=True)
@@ -347,7 +369,8 @@ class _Search:
             needless = []
             for candidate in causes:
                 others = _without(causes, candidate)
-                before = self.evidence.unseen(self.active(others))
+                beside = self.active(others)
+                before = self.tightened(beside).unseen(beside)
                 base, with_it = (self.logs(errors, candidate.scope, after) for errors in (before, after))
                 possible = all(_is_possible(self.found.columns[place], values[place]) for place in candidate.columns)
                 helps = decide.beats(with_it, base) and self.closes(before, after, candidate.scope, after)
@@ -383,9 +406,10 @@ class _Search:
             if not other.columns <= known
             and (other.scope == candidate.scope or (candidate.joint == WHOLE and other.joint == WHOLE))
         ]
-        before = self.evidence.unseen(active)
+        evidence = self.tightened(active)
+        before = evidence.unseen(active)
         tables = self.admissible(
-            active, [other.columns - known for other in rows], [candidate.scope] * len(rows), before
+            evidence, active, [other.columns - known for other in rows], [candidate.scope] * len(rows), before
         )
         errors = np.array([self.logs(table, candidate.scope, before) for table in tables])
         complexity = [self.complexity([other], other.columns - known) for other in rows]
