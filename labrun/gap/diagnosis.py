@@ -466,7 +466,7 @@ class Diagnosis:
             "gap": asdict(self.gap),
             "where": [asdict(place) for place in self.where],
             "differs_by_trial": list(self.differs),
-            "causes": [_cause(cause) for cause in self.causes],
+            "causes": [cause_json(cause) for cause in self.causes],
             "candidates": [_candidate(candidate) for candidate in self.candidates],
             "shrinkage": None
             if self.shrinkage is None
@@ -504,7 +504,8 @@ class Diagnosis:
         }
 
 
-def _cause(cause: Cause) -> dict[str, Any]:
+def cause_json(cause: Cause) -> dict[str, Any]:
+    """Return a cause as every ``--json`` of a diagnosis prints it."""
     return {
         **cause.name.to_json(),
         "confidence": cause.confidence,

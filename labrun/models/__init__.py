@@ -12,6 +12,7 @@ from labrun.models.layout import Drive
 from labrun.models.mjcf.exporting import Exported, MjcfRange, mjcf_of, mjcf_ranges
 from labrun.models.mjcf.grip import with_grip_held
 from labrun.models.mjcf.inverse import Carried, RobotTerms, TipLoad, carried, robot_terms
+from labrun.models.mjcf.regressor import InertialRegressor, LinkMotion
 from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, read_robot
 from labrun.models.mjcf.robot_table import robot_table
 from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter, natives
@@ -29,7 +30,8 @@ from labrun.models.simulation import (
 )
 
 __all__ = [
-    "Between", "Carried", "ClosedChain", "Condition", "Drive", "Exported", "FloatArray", "Input", "MjcfRange",
+    "Between", "Carried", "ClosedChain", "Condition", "Drive", "Exported", "FloatArray", "InertialRegressor", "Input",
+    "LinkMotion", "MjcfRange",
     "Model", "NativeFunction", "Origin", "Output", "Parameter", "Pointer", "Robot", "RobotActuator",
     "RobotJoint", "RobotTerms", "Simulation", "Site", "SiteKind", "Stepper", "TipLoad", "Unfiltered", "carried",
     "corrected_model_text", "filtered", "identifier", "is_robot", "kernel", "load_model", "measured_name",

@@ -75,7 +75,7 @@ def joint_rows(found: RobotDiagnosis) -> list[list[str]]:
         alone = moved_words(one) or _ALONE.get(diagnosis.verdict, HEADLINES[diagnosis.verdict])
         causes = " + ".join(cause_words(cause) for cause in diagnosis.causes) or alone
         sure = ", ".join(percent(cause.confidence) for cause in diagnosis.causes)
-        unit = one.joint.unit
+        unit = one.error_unit or one.joint.unit
         errors = [f"{number(value, 2)} {unit}" for value in (one.stated, one.recalibrated, one.corrected)]
         after = times_noise(gap.after) if diagnosis.causes else ""
         rows.append([one.joint.name, causes, sure, times_noise(gap.recalibrated), after, *errors])

@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.effects import AttachedEffect
 from labrun.gap import criteria
-from labrun.gap.diagnosis import Diagnosis, Verdict
+from labrun.gap.diagnosis import Cause, Diagnosis, Verdict, cause_json
 from labrun.models import RobotJoint
 
 OfTheWhole = tuple[str, tuple[str, ...], Mapping[str, float]]
@@ -31,6 +31,8 @@ class JointDiagnosis:
         simulation leaves the finite numbers.
     agreed
         Its parameters as the median of what all joints say: a mass moves every joint that carries it.
+    error_unit
+        Of `stated`, `recalibrated` and `corrected` where they are not in the joint's unit: torques that a log holds.
     """
 
     joint: RobotJoint
@@ -39,6 +41,7 @@ class JointDiagnosis:
     recalibrated: float
     corrected: float
     agreed: Mapping[str, float] = field(default_factory=dict)
+    error_unit: str = ""
 
     @property
     def moved(self) -> dict[str, float]:
@@ -71,6 +74,10 @@ class RobotDiagnosis:
         All causes as they go into the model of the whole robot, and its parameters.
     remarks
         What to know, in sentences.
+    headline
+        What comes before the joints in the answer: a load, a missing hand, the unit of logged torques.
+    whole_causes
+        Causes of the robot as a whole that no single joint tells.
     """
 
     name: str
@@ -82,6 +89,8 @@ class RobotDiagnosis:
     values: Mapping[str, float]
     remarks: tuple[str, ...]
     seconds: float
+    headline: tuple[str, ...] = ()
+    whole_causes: tuple[Cause, ...] = ()
 
     @property
     def named(self) -> tuple[JointDiagnosis, ...]:
@@ -93,7 +102,7 @@ class RobotDiagnosis:
         """The worst verdict of a joint that lacks something; "no-gap" where none does."""
         verdicts = {joint.diagnosis.verdict for joint in self.joints}
         order: tuple[Verdict, ...] = ("unexplained", "partly-explained", "mostly-explained", "explained")
-        if not self.named and self.whole:
+        if not self.named and (self.whole or self.headline):
             return "explained"
         return next((verdict for verdict in order if verdict in verdicts), "no-gap")
 
@@ -119,7 +128,10 @@ class RobotDiagnosis:
         count = f"{len(self.named)} of {len(self.joints)} joints lack physics: " if several else ""
         rest = f"; unexplained: {', '.join(unexplained)}" if unexplained else ""
         rest += f"; far from what is stated: {', '.join(far)}" if far and found else ""
-        return f"{count}{told}{rest}."
+        if self.headline and not found:
+            return f"{'; '.join(self.headline)}{rest}."
+        first = "".join(f"{sentence}; " for sentence in self.headline)
+        return f"{first}{count}{told}{rest}."
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap diagnose --json`` prints, with what makes the corrected model."""
@@ -133,6 +145,7 @@ class RobotDiagnosis:
                 {
                     "joint": one.joint.name, "unit": one.joint.unit, "stated": _number(one.stated),
                     "recalibrated": _number(one.recalibrated), "corrected": _number(one.corrected),
+                    **({"error_unit": one.error_unit} if one.error_unit else {}),
                     "moved": one.moved, "diagnosis": one.diagnosis.to_json(),
                 }
                 for one in self.joints
@@ -154,7 +167,10 @@ class RobotDiagnosis:
             },
             "seed": self.joints[0].diagnosis.seed,
             "limitations": [],
-            "causes": [cause for one in self.joints for cause in one.diagnosis.to_json()["causes"]],
+            "causes": [
+                *(cause_json(cause) for cause in self.whole_causes),
+                *(cause for one in self.joints for cause in one.diagnosis.to_json()["causes"]),
+            ],
             "seconds": round(self.seconds, 2),
         }  # fmt: skip
 
