@@ -11,8 +11,9 @@ from functools import cached_property
 import numpy as np
 
 from labrun.arrays import FloatArray, IntArray
-from labrun.gap import criteria
 
+_LEAST = 1e-12
+"""Mean squared residual, in units of what it is compared with, below which a prediction is exact."""
 _RIDGE = 1e-10
 """Precision of columns without a prior, in units of their own squares."""
 
@@ -248,8 +249,13 @@ def log_errors(errors: FloatArray, joints: IntArray, scale: FloatArray) -> Float
     relative = errors[:, joints] / scale[joints]
     seen = np.isfinite(relative)
     mean = np.where(seen, relative, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
-    logs: FloatArray = np.log(np.maximum(mean, criteria.LEAST_ERROR))[seen.any(axis=1)]
+    logs: FloatArray = np.log(np.maximum(mean, _LEAST))[seen.any(axis=1)]
     return logs
+
+
+def units_of(errors: FloatArray) -> IntArray:
+    """Return a stratum for each unit of a table of log errors (..., units): pieces of time stand by themselves."""
+    return np.arange(errors.shape[-1])
 
 
 def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:

@@ -23,6 +23,8 @@ from labrun.gap.diagnosis import (
     Name,
     RatedCandidate,
     ResampledNumber,
+    Rest,
+    Rung,
     Shrinkage,
     Sizes,
     Verdict,
@@ -42,6 +44,10 @@ from labrun.gap.robot.torque_selection import (
 from labrun.gap.robot.torque_units import LoggedUnits, dead_channels, logged_units
 from labrun.models import Model, Robot, RobotJoint, identifier, robot_terms
 
+_Step = tuple[str, Name | None, float]
+"""A step of a joint's ladder: what was added, its name, and the error that is left."""
+_TRIALS_SHOWN = 4
+"""Trials of which courses are kept for pictures, those with the largest error first."""
 _SITE_KINDS: Mapping[str, str] = {"gravity-tilt": "base", "payload": "tip"}
 _PARAMETER_UNITS: Mapping[str, Mapping[str, str]] = {
     "payload": {"mass": "kg", "x": "m", "y": "m", "z": "m"},
@@ -241,16 +247,41 @@ class _Telling:
         roll, pitch = (cause.values[axis].value for axis in ("roll", "pitch"))
         return f"the base is tilted by {roll:.2g} rad (roll) and {pitch:.2g} rad (pitch)"
 
+    def shares(self, selected: Selected) -> tuple[float, float]:
+        """Return the share of its joints' error that a cause closes in its turn, and that comes back without it."""
+        selection, scope = self.answer.selection, list(selected.candidate.scope)
+
+        def error(squares: FloatArray) -> float:
+            return float(np.sqrt(np.nanmean(squares[..., scope])))
+
+        gap = error(selection.recalibrated)
+        if not gap > 0.0:
+            return 0.0, 0.0
+        before = gap
+        for cause, errors in zip(selection.causes, selection.ladder, strict=True):
+            after = error(np.square(errors))
+            if cause.candidate == selected.candidate:
+                return (before - after) / gap, (selected.without - 1.0) * error(selection.after) / gap
+            before = after
+        return 0.0, 0.0
+
     def cause(self, selected: Selected) -> Cause:
         candidate = selected.candidate
-        rivals = tuple(self.name(rival) for rival in selected.rivals[:1])
+        rivals = tuple(self.name(rival) for rival in selected.rivals)
         remark = ""
         if candidate.effect.startswith(COUPLED):
             other = self.data.log.joints[self.data.log.regressor.before[candidate.joint]]
             way = "plus" if candidate.detail > 0.0 else "minus"
             remark = f"of a motor that turns by {candidate.site} {way} {other}: it acts on both joints"
+        closes, returns = self.shares(selected)
         return Cause(
-            self.name(candidate), min(selected.wins, criteria.SURE), self.sizes(candidate), rivals, remark
+            self.name(candidate),
+            selected.wins,
+            self.sizes(candidate),
+            closes,
+            returns,
+            rivals,
+            remark=remark,
         )
 
     def name(self, candidate: Candidate) -> Name:
@@ -374,16 +405,15 @@ class _Telling:
             ]
         )
         noise = self.noise(place)
-        steps = [("as stated", errors[0]), ("recalibrated", errors[1])]
+        steps: list[_Step] = [("as stated", None, errors[0]), ("recalibrated", None, errors[1])]
         last = errors[1]
         for one, ladder in zip(selection.causes, selection.ladder, strict=True):
             shown = one.candidate.joint == place or (
                 number in one.candidate.scope and abs(np.log(last / ladder[number])) > criteria.MARGIN
             )
             if shown:
-                steps.append(
-                    (f"+ {effect_words(one.candidate.effect.removeprefix(COUPLED))}", float(ladder[number]))
-                )
+                name = self.name(one.candidate)
+                steps.append((f"+ {effect_words(name.effect)}", name, float(ladder[number])))
                 last = float(ladder[number])
         found = self.diagnosis(joint, unit, steps, errors, noise, own, place)
         return JointDiagnosis(joint, found, *map(float, errors), {}, unit)
@@ -395,7 +425,7 @@ class _Telling:
         return max(float(np.sqrt(0.5 * np.mean(np.square(steps)))), 1e-12) if len(steps) else 1e-12
 
     def diagnosis(
-        self, joint: RobotJoint, unit: str, steps: Sequence[tuple[str, float]], errors: FloatArray, noise: float,
+        self, joint: RobotJoint, unit: str, steps: Sequence[_Step], errors: FloatArray, noise: float,
         own: Sequence[Selected], place: int,
     ) -> Diagnosis:  # fmt: skip
         """Return a joint's diagnosis: the one place where that type is made here."""
@@ -405,12 +435,19 @@ class _Telling:
         closed = 1.0 - rest / gap if gap > 0.0 else 0.0
         verdict: Verdict
         if not steps:
-            verdict, sentence = "undecided", "Its torque or its motion says nothing: no cause was looked for."
+            verdict, sentence = (
+                "cannot-tell",
+                "Its torque or its motion says nothing: no cause was looked for.",
+            )
         else:
-            ladder = " > ".join(f"{step} {error:.3g}" for step, error in steps)
+            ladder = " > ".join(f"{step} {error:.3g}" for step, _, error in steps)
             told = f"Error of its torque on unseen data, {unit}: {ladder}."
             if causes:
-                verdict = "explained" if rest <= 0.1 * gap else "partly-explained"
+                share = rest / gap if gap > 0.0 else 0.0
+                verdict = "explained" if share <= criteria.EXPLAINED_REST else "partly-explained"
+                verdict = (
+                    "mostly-explained" if criteria.EXPLAINED_REST < share <= criteria.MOSTLY_REST else verdict
+                )
                 sentence = told
             else:
                 verdict = "no-gap"
@@ -428,9 +465,22 @@ class _Telling:
             notes=tuple(cause.remark for cause in causes if cause.remark), what_next=(), channels=((name, unit),),
             input_channels=(), noise={name: noise}, trials=len(self.dataset.trials),
             conditions=len(dict.fromkeys(log.conditions)), repeats=1, missing=(),
-            traces=tuple(self.traces(place)) if steps else (), parameter_units={}, guard="", seed=self.seed,
-            seconds=0.0,
+            traces=tuple(self.traces(place)) if steps else (), parameter_units={}, seed=self.seed,
+            seconds=0.0, ladder=self.rungs(steps, name, noise),
+            rest=Rest(sizes.after, rest / gap if gap > 0.0 and causes else 1.0),
         )  # fmt: skip
+
+    @staticmethod
+    def rungs(steps: Sequence["_Step"], output: str, noise: float) -> tuple[Rung, ...]:
+        """Return the errors of a joint's torque on unseen data as the steps of a ladder."""
+        if not steps:
+            return ()
+        gap, before, rungs = steps[1][2], steps[1][2], []
+        for step, cause, error in steps:
+            closes = (before - error) / gap if cause is not None and gap > 0.0 else 0.0
+            rungs.append(Rung(step, cause, {output: error}, error / noise, closes))
+            before = error if cause is not None else before
+        return tuple(rungs)
 
     def recalibration(self) -> dict[str, tuple[float, float | str, float]]:
         """Return the masses of all links, in units of what is stated."""
@@ -452,7 +502,7 @@ class _Telling:
         active = selection.active
         known = set(active.tolist())
         for one in own:
-            yield RatedCandidate(self.name(one.candidate), "cause", None, 1.0, self.sizes(one.candidate))
+            yield RatedCandidate(self.name(one.candidate), "cause", None, self.sizes(one.candidate))
         rivals = {rival.name: one for one in own for rival in one.rivals}
         causes = {one.candidate.name for one in own}
         others = {
@@ -483,9 +533,9 @@ class _Telling:
             }
             if candidate.name in rivals:
                 same = (self.name(rivals[candidate.name].candidate),)
-                yield RatedCandidate(self.name(candidate), "indistinguishable", share, 0.0, same_as=same)
+                yield RatedCandidate(self.name(candidate), "rival", share, same_as=same)
             else:
-                yield RatedCandidate(self.name(candidate), "ruled-out", share, 0.0, upper_bound=bound)
+                yield RatedCandidate(self.name(candidate), "excluded", share, upper_bound=bound)
 
     def traces(self, place: int) -> Iterator[ComparedTrace]:
         """Yield logged and predicted torque of a few trials."""
@@ -500,7 +550,7 @@ class _Telling:
                 -float(np.mean(np.square(each[1].torque - each[1].stated))) if len(each[1].torque) else 0.0
             )
         )
-        for trial, one, before, last in trials[: criteria.CONDITIONS_SHOWN]:
+        for trial, one, before, last in trials[:_TRIALS_SHOWN]:
             if len(one.torque):
                 yield ComparedTrace(
                     trial.label, trial.condition, 1, one.time_s, np.empty((len(one.time_s), 0)), one.torque[:, None],

@@ -12,7 +12,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray, IntArray
 from labrun.gap import criteria, decide
-from labrun.gap.robot.linear_evidence import LinearEvidence, log_errors
+from labrun.gap.robot.linear_evidence import LinearEvidence, log_errors, units_of
 from labrun.gap.robot.torque_columns import NUISANCE, WHOLE, Column, Regression
 
 _DRAWS = 100
@@ -23,7 +23,7 @@ _POSITIVE = ("coulomb", "viscous", "load", "stribeck", "coupled-inertia", "coupl
 _GAIN_ERRORS = (-0.9, 2.0)
 """Range of the error of a drive's gain, as in the library of effects."""
 _MOST_TIGHTENING = 20
-"""Steps by which links are held closer to what is stated until none is beyond its tolerance: each quarters a variance."""
+"""Steps that quarter the variance of links until none is beyond its tolerance."""
 COUPLED = "coupled "
 """Before the name of an effect whose motor acts on the joint before, too."""
 FORMS: Sequence[tuple[str, tuple[str, ...], str]] = (
@@ -41,7 +41,7 @@ FORMS: Sequence[tuple[str, tuple[str, ...], str]] = (
     (COUPLED + "added-inertia", (), "coupled-inertia"),
     (COUPLED + "coulomb-friction", (), "coupled-coulomb"),
 )
-"""Effects of a joint, the most common in practice first: the columns that they share with simpler ones, and their own."""
+"""Effects of a joint, the most common first: the columns that they share with simpler ones, and their own."""
 
 
 @dataclass(frozen=True)
@@ -280,7 +280,7 @@ class _Search:
             self.reweigh(causes)
             added = self.best(causes, [[candidate] for candidate in self._offered(causes)])
             if not added:
-                added = self.best(causes, list(self._pairs(causes)))
+                added = self.best(causes, list(self._pairs()))
             if not added:
                 break
             causes += added
@@ -294,7 +294,7 @@ class _Search:
             if candidate.needs <= known and not (candidate.needs and candidate.joint in richer):
                 yield candidate
 
-    def _pairs(self, causes: Sequence[Candidate]) -> Iterator[list[Candidate]]:
+    def _pairs(self) -> Iterator[list[Candidate]]:
         simple = [
             candidate
             for candidate in self.every
@@ -329,8 +329,10 @@ class _Search:
             base = self.logs(before, scope, before)
             errors = np.array([self.logs(tables[number], scope, before) for number in rows])
             complexity = [self.complexity(*new[number]) for number in rows]
-            row = decide.leader(errors, complexity)
-            if decide.beats(errors[row], base) and self.closes(before, tables[rows[row]], scope, before):
+            row = decide.leader(errors, complexity, units_of(errors))
+            if decide.beats(errors[row], base, units_of(base)) and self.closes(
+                before, tables[rows[row]], scope, before
+            ):
                 leaders.append(rows[row])
         if not leaders:
             return []
@@ -354,7 +356,7 @@ class _Search:
             for group, (errors, values) in zip(ordered, made, strict=True)
         ]
 
-    def complexity(self, each: Sequence[Candidate], columns: Collection[int]) -> tuple[int, ...]:
+    def complexity(self, each: Sequence[Candidate], columns: Collection[int]) -> tuple[int, int]:
         shapes = sum(one.shapes for one in each)
         # the coefficients of a load are those of one thing: where it is, and how heavy
         return len(columns) + shapes, sum(one.rank for one in each)
@@ -389,7 +391,9 @@ class _Search:
                 possible = all(
                     _is_possible(self.found.columns[place], values[place]) for place in candidate.columns
                 )
-                helps = decide.beats(with_it, base) and self.closes(before, after, candidate.scope, after)
+                helps = decide.beats(with_it, base, units_of(base)) and self.closes(
+                    before, after, candidate.scope, after
+                )
                 if not (possible and helps):
                     needless.append((float(np.mean(base - with_it)), others))
             if not needless:
@@ -405,7 +409,7 @@ class _Search:
                 continue
             others = _without(causes, candidate)
             rows, errors, complexity, _ = self.in_place_of(candidate, others)
-            leader = rows[decide.leader(errors, complexity)]
+            leader = rows[decide.leader(errors, complexity, units_of(errors))]
             if leader.columns != candidate.columns:
                 causes = [
                     *others,
@@ -416,7 +420,7 @@ class _Search:
 
     def in_place_of(
         self, candidate: Candidate, others: Sequence[Candidate]
-    ) -> tuple[list[Candidate], FloatArray, list[tuple[int, ...]], FloatArray]:
+    ) -> tuple[list[Candidate], FloatArray, list[tuple[int, int]], FloatArray]:
         """Return what could stand in a cause's place, with log errors, complexity, and the log errors without any."""
         active = self.active(others)
         known = set(active.tolist())
@@ -440,7 +444,7 @@ class _Search:
         others = _without(causes, candidate)
         rows, errors, complexity, base = self.in_place_of(candidate, others)
         own = next(number for number, row in enumerate(rows) if row.columns == candidate.columns)
-        near = [rows[number] for number in decide.near_best(errors) if number != own]
+        near = [rows[number] for number in decide.near_best(errors, units_of(errors)) if number != own]
         known = set(self.active(others).tolist())
         size = complexity[own][0]
         rivals = [
@@ -451,11 +455,11 @@ class _Search:
         strata = self.found.evidence.strata
         seen = np.isfinite(self.evidence.unseen(self.active(others))[:, list(candidate.scope)]).any(axis=1)
         drawn = decide.resamples(strata[seen], _DRAWS, rng)
-        wins = decide.win_frequencies(base, errors, complexity, drawn)
+        wins = decide.win_frequencies(base, errors, complexity, units_of(base), drawn)
         share = sum(float(wins[number]) for number, row in enumerate(rows) if row.name == candidate.name)
         without = float(np.exp(0.5 * np.mean(base - errors[own])))
         unique = {row.name: row for row in reversed(rivals)}
-        return Selected(candidate, share, tuple(reversed(unique.values())), without)
+        return Selected(candidate, decide.tempered(share, _DRAWS), tuple(reversed(unique.values())), without)
 
 
 def _is_possible(column: Column, value: float) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray, IntArray
 from labrun.gap import criteria, decide
-from labrun.gap.robot.linear_evidence import LinearEvidence, log_errors
+from labrun.gap.robot.linear_evidence import LinearEvidence, log_errors, units_of
 from labrun.gap.robot.torque_columns import NUISANCE, Regression
 
 _FRICTION = ("coulomb", "viscous", "offset")
@@ -55,8 +55,9 @@ def logged_units(data: Regression) -> LoggedUnits:
         errors for errors, _ in evidence.unseen_with(beside, groups, [everywhere.tolist()] * len(groups))
     ]
     base, *logs = (log_errors(errors, everywhere, np.nanmean(before, axis=0)) for errors in (before, *tables))
-    leader = decide.leader(np.array(logs), [(len(group),) for group in groups])
-    if leader != 0 or not decide.beats(logs[0], base):
+    table, units = np.array(logs), units_of(base)
+    leader = decide.leader(table, [(len(group), 0) for group in groups], units)
+    if leader != 0 or not decide.beats(table[0], base, units):
         return LoggedUnits(factors)
     active = np.concatenate([beside, scales])
     gains = 1.0 + evidence.fit(active)[scales]
@@ -104,7 +105,7 @@ def _needs(evidence: LinearEvidence, active: IntArray, place: int, number: int) 
     scale = np.ones(len(evidence.grams))
     with_it = log_errors(evidence.unseen(active), np.array([number]), scale)
     without = log_errors(evidence.unseen(active[active != place]), np.array([number]), scale)
-    return decide.beats(with_it, without)
+    return decide.beats(with_it, without, units_of(without))
 
 
 def dead_channels(names: Sequence[str], reasons: Sequence[str]) -> list[str]:
