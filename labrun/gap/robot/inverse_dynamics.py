@@ -10,6 +10,7 @@ Gautier, Decision and Control 1997, 2284; Janot, Vandanjon, Gautier, IEEE Trans.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,9 @@ _BAND_POWER = 0.95
 """Part of the power of the joints' rates that lies in the motion's band."""
 _SIGN_SPEED, _SIGN_NOISE = 0.01, 2.0
 """Speed over which the sign of a rate changes smoothly: a part of the peak, at least so many deviations of noise."""
+
+
+Rows = TypeVar("Rows", FloatArray, NDArray[np.bool_])
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,7 @@ def differentiated(course: Course, cut_hz: float) -> Moved:
     return Moved(q, spline.derivative(1)(course.time_s), spline.derivative(2)(course.time_s))
 
 
-def decimated(rows: FloatArray, course: Course, cut_hz: float) -> FloatArray:
+def decimated(rows: Rows, course: Course, cut_hz: float) -> Rows:
     """Return every so many of the rows that a cut leaves independent, without the ends that the filter bends."""
     every, ends = _decimation(course, cut_hz)
     return rows[ends : len(rows) - ends : every]
@@ -114,7 +118,7 @@ def sign_speeds(courses: Sequence[Course], moved: Sequence[Moved]) -> FloatArray
     """Return the speed of each joint over which the sign of its rate changes smoothly, (joints,)."""
     peaks = np.max([np.abs(each.rate).max(axis=0) for each in moved], axis=0)
     noise = _rate_noise(courses, moved)
-    return np.maximum(np.maximum(_SIGN_SPEED * peaks, _SIGN_NOISE * noise), 1e-12)
+    return np.asarray(np.maximum(np.maximum(_SIGN_SPEED * peaks, _SIGN_NOISE * noise), 1e-12))
 
 
 def _rate_noise(courses: Sequence[Course], moved: Sequence[Moved]) -> FloatArray:
@@ -163,8 +167,8 @@ def moves(rate: FloatArray, speed: float, length: int) -> NDArray[np.bool_]:
     from scipy.ndimage import binary_dilation, binary_opening
 
     still = np.abs(rate) < speed
-    rests = binary_opening(still, np.ones(max(length, 1)))
-    return ~binary_dilation(rests, np.ones(2 * length + 1))
+    rests = binary_opening(still, np.ones(max(length, 1), dtype=bool))
+    return np.asarray(~binary_dilation(rests, np.ones(2 * length + 1, dtype=bool)))
 
 
 @dataclass(frozen=True)

@@ -268,6 +268,6 @@ def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     try:
         solved = cho_solve(cho_factor(scaled, check_finite=False), sides, check_finite=False)
     except LinAlgError:
-        solved = np.linalg.lstsq(scaled, sides, rcond=1e-12)[0]
+        solved = np.asarray(np.linalg.lstsq(scaled, sides, rcond=1e-12)[0], dtype=np.float64)
     result: FloatArray = solved * (scale if right.ndim == 1 else scale[:, None])
     return result

@@ -280,7 +280,7 @@ def _courses(robot: Robot, terms: RobotTerms, dataset: Dataset) -> tuple[list[Co
                     gains.gear * trial.inputs[:, inputs.index(drive.input)], *gains.limits
                 )
         logged.append(torque)
-        label = condition_key(trial.condition) if trial.condition else trial.label
+        label = str(condition_key(trial.condition)) if trial.condition else trial.label
         courses.append(uniform(label, trial.time_s, trial.outputs[:, columns], torque, step_s))
     every = np.concatenate(logged)
     why = []

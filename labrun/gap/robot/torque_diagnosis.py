@@ -416,7 +416,8 @@ class _Telling:
                 steps.append((f"+ {effect_words(name.effect)}", name, float(ladder[number])))
                 last = float(ladder[number])
         found = self.diagnosis(joint, unit, steps, errors, noise, own, place)
-        return JointDiagnosis(joint, found, *map(float, errors), {}, unit)
+        stated, recalibrated, after = map(float, errors)
+        return JointDiagnosis(joint, found, stated, recalibrated, after, {}, unit)
 
     def noise(self, place: int) -> float:
         """Return the deviation of what changes from row to row in what is left of a joint's torque."""
@@ -452,7 +453,8 @@ class _Telling:
             else:
                 verdict = "no-gap"
                 sentence = f"No cause at this joint improves the prediction of data it has not seen. {told}"
-        sizes = Sizes(*(float(error / noise) if np.isfinite(error) else 0.0 for error in errors), 1.0)
+        raw, recalibrated, after = (float(error / noise) if np.isfinite(error) else 0.0 for error in errors)
+        sizes = Sizes(raw, recalibrated, after, 1.0)
         shrinkage = Shrinkage(closed, closed, closed) if causes and steps else None
         attached = tuple(one for one in (self.attached(each.candidate) for each in own) if one is not None)
         name = f"{joint.output}_torque"

@@ -241,7 +241,7 @@ def _turns(axis: FloatArray, angles: FloatArray) -> FloatArray:
 
 
 def _along(rotations: FloatArray, vectors: FloatArray) -> FloatArray:
-    return np.einsum("nij,nj->ni", rotations, vectors)
+    return np.asarray(np.einsum("nij,nj->ni", rotations, vectors))
 
 
 def _arm(inwards: FloatArray, axis: FloatArray, arm: FloatArray, *, hinge: bool) -> FloatArray:
