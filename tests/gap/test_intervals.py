@@ -73,12 +73,6 @@ def test_a_size_that_is_another_one_in_each_condition_is_told_as_that_uncertain(
     assert spread(apart, known=known) > 3.0 * spread(same, known=known)
 
 
-def test_a_shape_that_is_held_leaves_its_size_as_open_as_the_data_do() -> None:
-    noisy = recorded(dry_friction(0.006), noise=0.1)
-    held, drawn = (with_friction(noisy, noise=0.1, rate=20.0, shapes=shapes) for shapes in (False, True))
-    assert spread(drawn) > 1.05 * spread(held)
-
-
 @pytest.mark.parametrize("known", [True, False])
 def test_the_interval_of_a_size_that_noise_alone_made_contains_zero_and_of_one_that_is_real_does_not(
     same: Base, known: bool

@@ -29,13 +29,13 @@ def noise() -> Recalibrated:
 
 @pytest.fixture(scope="module")
 def error() -> Recalibrated:
-    return left_by(lambda angle: 5e-3 * np.sin(12 * angle))
+    return left_by(lambda angle: 5e-3 * np.sin(5 * angle))
 
 
 def test_of_noise_nothing_can_be_learned_and_of_an_error_that_goes_with_the_motion_much(noise, error):
     assert learnable_share(noise.problem, noise.z) < 0.1
     assert learnable_share(noise.problem, noise.z, conditions=True) < 0.1
-    assert learnable_share(error.problem, error.z) > 0.5
+    assert learnable_share(error.problem, error.z) > 0.2
 
 
 def test_an_error_that_goes_with_the_position_is_said_to_depend_on_it(error):

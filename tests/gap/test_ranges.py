@@ -102,7 +102,9 @@ def test_intervals_carry_what_is_stated_of_a_scale_that_the_data_do_not_show() -
     noise = of_sensor(
         data, [np.random.default_rng(1).standard_normal(one.outputs.shape) for one in data.trials]
     )
-    units = Units((4, 4), np.repeat([0, 1], 4))
+    units = Units.of(
+        data, [np.random.default_rng(2).standard_normal(one.outputs.shape) for one in data.trials]
+    )
     torque = scatter(base, noise, units, np.random.default_rng(0))[:, -1] / z[problem.size - 1]
     # all torques scale together with the inertia: of the scale, two statements of 5 % each tell what they can
     assert np.std(torque) == pytest.approx(0.05 / np.sqrt(2.0), rel=0.1)

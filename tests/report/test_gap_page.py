@@ -155,7 +155,9 @@ def test_a_dollar_in_a_name_is_no_formula():
         name=odd,
         where=tuple(replace(place, text=odd) for place in diagnosis.where),
         traces=tuple(replace(trace, label=odd) for trace in diagnosis.traces),
-        channels=((odd, odd), (odd, odd)),
+        channels=((odd, odd),),
+        noise={odd: 0.05},
+        ladder=tuple(replace(rung, errors={odd: 0.1}) for rung in diagnosis.ladder),
         missing=(replace(examples.missing_at_hinge(), site=odd),),
     )
     assert SENTENCE not in diagnosis_page(diagnosis)
