@@ -8,7 +8,7 @@ from pathlib import Path
 
 from labrun.fit import Note
 
-_EVERY_S = 5.0
+_EVERY_S = 1.0
 """Time between two lines, s."""
 
 

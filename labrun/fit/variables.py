@@ -136,11 +136,11 @@ class Priors:
         )
 
     def releasing(self, parameter: Parameter, factor: float) -> Self:
-        """Return priors that believe a parameter's statement only to a factor, either way."""
+        """Return priors that believe a parameter's statement only to a factor, of either sign."""
         variable = self.names.index(parameter.name)
         scale = self.scale[variable]
         stated = parameter.value / scale
-        low, high = sorted((stated / factor, stated * factor)) if stated else (-np.inf, np.inf)
+        low, high = sorted((-stated * factor, stated * factor)) if stated else (-np.inf, np.inf)
         put = {
             "sigma": np.inf,
             "pull": _UNBELIEVED * scale,

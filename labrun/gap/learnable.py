@@ -17,9 +17,9 @@ from labrun.gap.held_out import mean_residuals
 
 _LEARNED_PIECES = 8
 """Pieces of every trial, one of which is withheld at a time."""
-_MOST_LEARNED = 5000
+_MOST_LEARNED = 10000
 """Samples that are learned from."""
-_NEURONS = 150
+_NEURONS = 300
 _LOOKED_AT = 3.0
 _STEEPNESS = (0.3, 10.0)
 """Random neurons, at how many signals each looks in the mean, and how steep they are."""

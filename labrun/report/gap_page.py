@@ -84,7 +84,7 @@ def _ladder(diagnosis: Diagnosis) -> PageTable:
     rows = [
         [
             rung.step,
-            *(number(rung.errors[name], 3) for name, _ in diagnosis.channels),
+            *(number(rung.errors.get(name, math.nan), 3) for name, _ in diagnosis.channels),
             times_noise(rung.in_noise),
             "" if rung.cause is None else percent(rung.closes),
         ]

@@ -195,7 +195,7 @@ def ladder_lines(diagnosis: Diagnosis) -> list[str]:
     """Return the error on unseen data of each output: as stated, recalibrated, and with each cause in turn."""
     lines = []
     for output, unit in diagnosis.channels:
-        values = [rung.errors[output] for rung in diagnosis.ladder]
+        values = [rung.errors.get(output, math.nan) for rung in diagnosis.ladder]
         finite = [value for value in values if math.isfinite(value)]
         largest = ResampledNumber(max(finite, default=0.0), 0.0, 0.0, unit)
         factor, suffix = _prefixed(largest)

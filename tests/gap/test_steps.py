@@ -5,7 +5,6 @@ import pytest
 
 from labrun.effects import Scale, load_effect
 from labrun.fit import Dataset, FitTrial, Problem, silent
-from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate, candidates, site_scales
 from labrun.gap.diagnosis import Name
@@ -75,7 +74,7 @@ def test_steps_are_short_near_reversals_alone_where_friction_turns_sharply(rubbi
 def test_short_steps_in_some_intervals_leave_what_those_in_all_of_them_do(rubbing) -> None:
     problem, z = rubbing
     moved = 1e-4 * problem.squares(z)
-    everywhere = problem.with_steps([criteria.FINER * one for one in problem.steps])
+    everywhere = problem.with_steps([4 * one for one in problem.steps])
     fine, present = _squares(everywhere, z), _squares(problem, z)
     mixed = in_shorter_steps(problem, z, moved)
     assert abs(np.sum(fine - present)) > moved
@@ -186,7 +185,7 @@ def test_what_is_slow_beside_the_samples_and_a_parameter_take_the_steps_of_their
     z = np.concatenate([found.z[: found.problem.size], [0.01 / late.scale.of("time")]])
     base = Base.of(problem, z, (late,))
     for one in (every["parameter inertia"], creep):
-        assert one.pace_s(one.starts[0] if one.variables else ()) > criteria.QUICK * 0.01
+        assert one.pace_s(one.starts[0] if one.variables else ()) > 3.0 * 0.01
         looked = survey(base, one)
         steps = in_steps_that_follow(looked.problem, looked.starts[0], base.residual, np.inf)[0].steps
         assert all(np.array_equal(mine, theirs) for mine, theirs in zip(steps, problem.steps, strict=True))

@@ -145,7 +145,7 @@ def test_where_the_torque_is_logged_a_joint_is_asked_which_torque_its_motion_tak
     one = one_joint(prescribed(robot, model, dataset), 1)
     assert [each.name for each in one.model.outputs] == ["elbow_torque"]
     options = Options(workers=1, places=False, brisk=True)
-    ((_, answer),) = _looked(prescribed(robot, model, dataset), [1], options, None, silent)
+    ((_, answer),) = _looked(prescribed(robot, model, dataset), [1], options, None, silent, np.inf)
     assert [str(cause.name) for cause in answer.causes] == ["coulomb-friction at elbow"]
     assert answer.causes[0].values["torque"].value == pytest.approx(friction, rel=0.05)
 
