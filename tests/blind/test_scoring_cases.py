@@ -255,7 +255,7 @@ def test_a_confidence_that_is_no_probability_is_no_answer() -> None:
         "verdict": "explained",
         "ladder": [],
         "rest": None,
-        "causes": [{"effect": "lag", "site": "torque", "rivals": [], "confidence": 1.2}],
+        "causes": [{"effect": "lag", "site": "torque", "indistinguishable_from": [], "confidence": 1.2}],
     }
     read = Reply.of_labrun(printed)
     assert read.answer is None

@@ -72,7 +72,7 @@ def test_a_body_that_is_not_tracked_is_told():
 
 
 def test_an_axis_without_direction_is_refused():
-    with pytest.raises(ValidationError, match=r"\[0, 0, 0\] is none"):
+    with pytest.raises(ValidationError, match=r"\[0, 0, 0\] has none"):
         hinge(axis=[0, 0, 0])
 
 

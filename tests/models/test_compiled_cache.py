@@ -104,7 +104,7 @@ def test_no_combination_of_effects_compiles_anything_new():
 
     model = parse_model(OSCILLATOR, "o.toml")
     names = ("coulomb-friction", "viscous-damping", "quadratic-drag", "added-inertia", "rest-offset")
-    effects = [load_effect(name).attach("hinge") for name in names]
+    effects = [load_effect(name, "joint").attach("hinge") for name in names]
     for count in range(len(effects)):
         simulate(
             model,
