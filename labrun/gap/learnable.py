@@ -89,12 +89,9 @@ def _share(
 def predictable_share(features: Sequence[FloatArray], values: Sequence[FloatArray]) -> float:
     """Return the share of squared values (n,) of each trial that its features (n, p) predict where withheld, 0 to 1.
 
-    Trials are withheld one at a time; of a single trial, pieces of time.
+    A piece of time of every trial is withheld at a time.
     """
-    if len(features) > 1:
-        groups = [np.full(len(part), float(index)) for index, part in enumerate(features)]
-    else:
-        groups = [np.floor(_LEARNED_PIECES * np.arange(len(part)) / len(part)) for part in features]
+    groups = [np.floor(_LEARNED_PIECES * np.arange(len(part)) / len(part)) for part in features]
     inside, wanted = np.concatenate(features), np.concatenate(values)[:, None]
     stride = max(1, len(wanted) // _MOST_LEARNED)
     inside, wanted, group = inside[::stride], wanted[::stride], np.concatenate(groups)[::stride]

@@ -154,7 +154,8 @@ def test_an_experiment_that_varies_something_else_altogether_is_told_at_its_plac
     path = tmp_path / "experiments" / "field.toml"
     path.write_text(FIELD.replace('frequency_hz = "f"', 'frequency_hz = "g"').replace('"a"', '"b"'))
     with pytest.raises(
-        SpecError, match=r"field.toml:\d+:\d+: run.conditions.leaders_of = .* have the names a, f; the gait here uses b, g"
+        SpecError,
+        match=r"field.toml:\d+:\d+: run.conditions.leaders_of = .* names a, f; the gait here uses b, g",
     ) as told:
         load_experiment(Path(path))
     assert "unknown name" not in str(told.value)
@@ -193,6 +194,7 @@ def test_leaders_that_vary_something_else_cannot_stand_beside(bench, tmp_path):
     path = tmp_path / "experiments" / "current.toml"
     path.write_text(BESIDE.replace("a = [22, 33], f = [1.2]", "a = [22, 33]").replace('= "f"', "= 1.2"))
     with pytest.raises(
-        SpecError, match=r"current.toml:\d+:\d+: leaders.beside.leaders_of = .* have the names a, f; those here a;"
+        SpecError,
+        match=r"current.toml:\d+:\d+: leaders.beside.leaders_of = .* have the names a, f; those here a;",
     ):
         load_experiment(path)

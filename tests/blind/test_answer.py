@@ -50,13 +50,18 @@ def test_the_rest_is_the_share_that_is_told_and_nothing_within_the_noise() -> No
         diagnosis("mostly-explained", cause(), rest={"within_noise": False, "share_of_gap": 0.23})
     )
     assert (told.rest, told.tells_rest) == (0.23, True)
-    noise = Answer.of_diagnosis(diagnosis("explained", cause(), rest={"within_noise": True, "share_of_gap": 0.3}))
+    noise = Answer.of_diagnosis(
+        diagnosis("explained", cause(), rest={"within_noise": True, "share_of_gap": 0.3})
+    )
     assert not noise.tells_rest
     small = Answer.of_diagnosis(
         diagnosis("explained", cause(), rest={"within_noise": False, "share_of_gap": 0.05})
     )
     assert not small.tells_rest
-    assert Answer.of_diagnosis(diagnosis("unexplained", rest={"within_noise": False, "share_of_gap": 1.7})).rest == 1.0
+    assert (
+        Answer.of_diagnosis(diagnosis("unexplained", rest={"within_noise": False, "share_of_gap": 1.7})).rest
+        == 1.0
+    )
 
 
 def test_a_gap_is_reported_unless_there_is_none_or_it_cannot_be_told() -> None:

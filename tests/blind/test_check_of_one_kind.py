@@ -46,7 +46,13 @@ def checked(tmp_path_factory: pytest.TempPathFactory) -> Checked:
     out = tmp_path_factory.mktemp("check") / "control-only"
     prepare(CheckFolder(out), **TWO_CONTROLS, workers=2, note=silent)
     for name in ("case-0004", "case-0005"):
-        quiet = {"verdict": "no-gap", "causes": [], "rest": None, "processor_s": 1.0, "programme": fingerprint()}
+        quiet = {
+            "verdict": "no-gap",
+            "causes": [],
+            "rest": None,
+            "processor_s": 1.0,
+            "programme": fingerprint(),
+        }
         CheckFolder(out).keep_reply(name, quiet)
     return check(**TWO_CONTROLS, workers=1, out=out, announce=silent)
 

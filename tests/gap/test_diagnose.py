@@ -123,17 +123,6 @@ def test_levels_that_are_excluded_are_bounded_from_below_near_the_peak_of_the_si
     assert lower.low < lower.high == lower.value < -0.85 * angle
 
 
-def test_a_signal_cut_below_the_bound_of_its_level_would_have_been_found(with_friction: Diagnosis) -> None:
-    saturation = next(one for one in with_friction.candidates if str(one.name) == "saturation at angle")
-    assert saturation.verdict == "excluded"
-    level = 0.97 * saturation.upper_bound["level"].value
-    cut = recorded(dry_friction(0.006), seen=lambda angle: np.clip(angle, -level, level))
-    few = among("saturation", "coulomb-friction", "cubic-stiffness")
-    causes = {str(cause.name): cause for cause in diagnose_dataset(cut, pendulum(), few).causes}
-    cause = causes["saturation at angle"]
-    assert cause.values["level"].value == pytest.approx(level, rel=0.02)
-
-
 def test_the_answer_for_scripts_is_plain_json_without_nan(with_friction: Diagnosis) -> None:
     answer = json.loads(json.dumps(with_friction.to_json(), allow_nan=False))
     assert answer["causes"][0]["effect"] == "coulomb-friction"

@@ -46,8 +46,8 @@ def test_zeros_that_are_set_anew_are_no_cause() -> None:
 
 @pytest.mark.xfail(
     strict=True,
-    reason="a bias of .1 rad that all trials share is taken up by zeros that differ by .014 rad: it leaves .33 times the "
-    "noise, of which the common bias closes 70 %, and is not accepted",
+    reason="a bias of .1 rad that all trials share is taken up by zeros that differ by .014 rad: it leaves .33 times "
+    "the noise, of which the common bias closes 70 %, and is not accepted",
 )
 def test_a_bias_common_to_all_trials_stays_one() -> None:
     found = diagnose_dataset(with_zeros_set_anew(recorded(nothing), 0.01, common=0.1), pendulum(), FEW)

@@ -67,7 +67,9 @@ def test_effects_that_are_given_come_on_top_of_those_carried():
 
 def test_steps_are_chosen_for_the_effects_that_are_carried():
     bare = parse_model(OSCILLATOR, "o.toml")
-    steep = load_effect("viscous-damping", "joint").attach("hinge", coefficient=500.0)  # 4 ms, the samples 10 ms apart
+    steep = load_effect("viscous-damping", "joint").attach(
+        "hinge", coefficient=500.0
+    )  # 4 ms, the samples 10 ms apart
     given = {"initial_state": START}
     carried = suggest_substeps(bare.with_effects([steep]), TIME_S, TORQUE, **given)
     assert carried == suggest_substeps(bare, TIME_S, TORQUE, effects=[steep], **given)

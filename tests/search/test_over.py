@@ -125,7 +125,10 @@ def test_a_search_over_settings_that_was_stopped_and_resumed_ends_as_one_in_one_
     [
         (OVER.replace("f = [0.8, 1.2]", "a = [1, 2], f = [1]"), "is varied already"),
         (OVER.replace("0.8, 1.2", "1.2, 1.2"), "names a value twice"),
-        (OVER.replace("over = { f = [0.8, 1.2] }", "").replace("a =", "f = [1], a ="), "nothing is there to combine"),
+        (
+            OVER.replace("over = { f = [0.8, 1.2] }", "").replace("a =", "f = [1], a ="),
+            "nothing is there to combine",
+        ),
     ],
 )
 def test_settings_that_do_not_hold_are_told_at_their_place(write, table, text):

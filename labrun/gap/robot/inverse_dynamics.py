@@ -198,7 +198,7 @@ class Cut:
             return f"torque and regressor are low-passed at {self.hz:.3g} Hz, the highest cut the sampling rate allows"
         last, higher = int(np.argmin(np.abs(self.tried - self.hz))), ""
         if last + 1 < len(self.tried):
-            first = np.where(self.scales[0] > 0.0, self.scales[0], np.inf)  # a dead channel has no scale
+            first = np.where(self.scales[0] > 0.0, self.scales[0], np.nan)  # a dead channel has no scale
             drop = self.scales[last + 1] / first
             if np.isfinite(drop).any():
                 joint = int(np.nanargmax(np.abs(np.log(np.maximum(drop, 1e-3)))))

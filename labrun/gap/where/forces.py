@@ -8,7 +8,6 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, Effect, EffectParameter, force_law
-from labrun.gap import criteria
 from labrun.gap.diagnosis import MissingForce
 from labrun.gap.learnable import predictable_share
 from labrun.gap.where.difference import Difference, force_unit, load_unit
@@ -137,6 +136,8 @@ def _profile_effect(kind: SiteKind, count: int) -> Effect:
     )
 
 
+_LAWFUL = 0.3
+"""Share of a missing force's square that motion and load have to predict where it was withheld."""
 _VISIBLE = (0.03, 3.0)
 """Change of the outputs that a probing force should make, in units of the noise: seen well, and still small."""
 _PROBES = 40
@@ -161,8 +162,8 @@ def missing_forces(difference: Difference) -> tuple[MissingForce, ...]:
 
     `share` is measured on the data the force was fitted to, less what it takes out of the noise: so free a force also
     imitates what is no force at all, an error of an output for one. A force that motion and load do not predict in
-    withheld trials is left out; so is a site that no output sees, and units of fewer than 16 samples. Beyond 80 units,
-    some of every condition stand for all.
+    withheld pieces of time is left out; so is a site that no output sees, and units of fewer than 16 samples. Beyond 80
+    units, some of every condition stand for all.
     """
     some = _subset(difference)
     if some is None or not some.model.sites:
@@ -173,13 +174,13 @@ def missing_forces(difference: Difference) -> tuple[MissingForce, ...]:
 
 
 def _is_a_law(missing: MissingForce) -> bool:
-    """Tell whether motion and load predict a missing force in trials, or pieces of time, that were withheld.
+    """Tell whether motion and load predict a missing force in pieces of time that were withheld.
 
     A force that differs from trial to trial at the same motion imitates something else.
     """
     columns = [missing.coordinate, missing.rate, *([missing.load] if missing.load else [])]
     features = [np.column_stack(parts) for parts in zip(*columns, strict=True)]
-    return predictable_share(features, missing.force) >= criteria.DEPENDS
+    return predictable_share(features, missing.force) >= _LAWFUL
 
 
 def _subset(difference: Difference) -> Difference | None:
