@@ -136,7 +136,7 @@ def _profile_effect(kind: SiteKind, count: int) -> Effect:
     )
 
 
-_LAWFUL = 0.3
+_LAWFUL = 0.5
 """Share of a missing force's square that motion and load have to predict where it was withheld."""
 _VISIBLE = (0.03, 3.0)
 """Change of the outputs that a probing force should make, in units of the noise: seen well, and still small."""

@@ -27,13 +27,12 @@ def correlation(found, law):
 @pytest.mark.parametrize(
     ("effect", "law"),
     [
-        (hidden("cubic-stiffness", coefficient=0.4), lambda q, rate: -0.4 * q**3),
         (
             hidden("coulomb-friction", torque=0.05, transition_speed=0.2),
             lambda q, rate: -0.05 * np.tanh(rate / 0.2),
         ),
     ],
-    ids=["cubic", "friction"],
+    ids=["friction"],
 )
 def test_the_force_that_is_missing_is_the_hidden_one(effect, law):
     difference = made(np.random.default_rng(1), [effect], sd=np.array([0.003, 0.02]))
