@@ -172,13 +172,13 @@ def status_words(row: RatedCandidate) -> str:
 
 
 def closes_words(cause: Cause) -> str:
-    """Return which share of the gap a cause closes, and how often it wins among resamples."""
+    """Return which share of the gap a cause closes, and its confidence."""
     if cause.closes < 0.0 < cause.returns:
         text = f"closes {percent(cause.returns)} of the gap together with the other causes only"
     else:
         text = f"closes {percent(cause.closes)} of the gap"
     if math.isfinite(cause.confidence):
-        text += f"; wins in {percent(cause.confidence)} of resamples"
+        text += f"; confidence {percent(cause.confidence)} from resamples"
     return text
 
 

@@ -42,7 +42,7 @@ def test_the_ladder_tells_the_error_of_each_step_in_the_outputs_unit_and_beside_
 def test_a_cause_comes_with_size_interval_share_of_the_gap_and_how_often_it_wins():
     text = words_of(examples.explained())
     assert "Coulomb friction at hinge: torque 0.1520 [0.1440, 0.1590] mN m" in text
-    assert "closes 85 % of the gap; wins in 96 % of resamples" in text
+    assert "closes 85 % of the gap; confidence 96 % from resamples" in text
 
 
 def test_rivals_are_told_with_their_cause():
