@@ -22,7 +22,7 @@ RUNS = [
         "turn-torque", "cmaes", "wrench.torque_z", 6e-3, 6, ["fins"], id="turn-torque", marks=pytest.mark.slow
     ),
     # 5 mN m a sensor, and vortices
-    pytest.param("fin-params", "sweep", "wrench.torque_y", 12e-3, 5, ["tail"], id="fin-params"),
+    pytest.param("fin-params", "sweep", "wrench.torque_y", 30e-3, 5, ["tail"], id="fin-params"),
 ]
 SOON_AT_REST = ("--set", 'trial.settle={ until = "time", timeout_s = 3 }')
 """What the undisturbed bench is like takes ten seconds of a run to find out, and is not what these tests are about."""

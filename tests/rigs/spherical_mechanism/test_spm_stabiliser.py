@@ -129,7 +129,10 @@ def test_the_same_seed_shakes_the_same_way_and_another_seed_another_way():
 
 
 def _kinds(*kinds):
-    return sorted({effect.id for effect in effects() if effect.kind in kinds and "load" not in effect.needs})
+    # the two effects with a mass of their own are unstable on this bench
+    two_mass = {"elastic-transmission", "gear-play"}
+    usable = (effect for effect in effects() if effect.kind in kinds and "load" not in effect.needs)
+    return sorted({effect.id for effect in usable} - two_mass)
 
 
 @pytest.mark.parametrize(
