@@ -6,11 +6,16 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from hypothesis.internal.conjecture import providers
 
 # The same few examples on every run; LABRUN_HYPOTHESIS=explore looks for new ones, and for more.
 settings.register_profile("same", derandomize=True, deadline=None, max_examples=40)
 settings.register_profile("explore", deadline=None)
-settings.load_profile(os.environ.get("LABRUN_HYPOTHESIS", "same"))
+_PROFILE = os.environ.get("LABRUN_HYPOTHESIS", "same")
+settings.load_profile(_PROFILE)
+if _PROFILE == "same":
+    # Hypothesis also draws constants of the modules imported so far, which depend on the tests that ran before.
+    providers._get_local_constants = lambda: providers._local_constants
 
 # before numpy is imported: labrun's matrices are small, and BLAS threads on shared cores mostly wait for one another
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

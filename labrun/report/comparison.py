@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from labrun.fit import LEAST_SIZE, ComparedPoint, Comparison, Curve, FigureData, Pair, Panel, Stack
+from labrun.report.statistics import root_mean_square
 from labrun.report.text import (
     aligned,
     condition_text,
@@ -257,7 +258,7 @@ def _overlays(comparison: Comparison) -> list[Stack]:
             for pair in comparison.pairs
             if pair.channel == point.channel and dict(pair.condition) == dict(point.condition)
         ]
-        pair = max(own, key=lambda one: float(np.mean(np.square(one.measured - one.predicted))))
+        pair = max(own, key=lambda candidate: root_mean_square(candidate.measured - candidate.predicted))
         upper = Panel(
             (
                 Curve(pair.time_s, pair.measured, "measured", "measured", bold=True),

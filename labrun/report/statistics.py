@@ -111,6 +111,18 @@ def drift(view: RunView) -> list[Drift]:
     return found
 
 
+def scaled_to_largest(values: FloatArray) -> FloatArray:
+    """Return the values divided by their largest magnitude, so that their squares stay within floating-point range."""
+    largest = float(np.max(np.abs(values), initial=0.0))
+    return values / largest if 0.0 < largest < math.inf else values
+
+
+def root_mean_square(values: FloatArray) -> float:
+    """Return the root mean square, also of values whose squares exceed the floating-point range."""
+    largest = float(np.max(np.abs(values)))
+    return largest * float(np.sqrt(np.mean(np.square(scaled_to_largest(values))))) if largest else 0.0
+
+
 def _line(hours: FloatArray, values: FloatArray) -> tuple[float, float, float]:
     """Return the least-squares slope, the sum of squares of `hours`, and what 95 % of the residuals lie within."""
     from scipy.stats import t  # slow to import

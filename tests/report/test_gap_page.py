@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 
 from labrun.gap.diagnosis import Sizes
 from labrun.report.figures.gap import diagnosis_figure
+from labrun.report.figures.gap_traces import traces_figure
 from labrun.report.gap_page import diagnosis_page
 from labrun.report.style import as_png
 
@@ -182,6 +183,16 @@ def test_any_diagnosis_becomes_a_page_and_a_picture(diagnosis):
     assert SENTENCE not in text
     assert set(re.findall(r'href="#([^"]+)"', text)) <= set(re.findall(r' id="([^"]+)"', text))
     assert as_png(diagnosis_figure(diagnosis))
+
+
+@pytest.mark.parametrize(("noise", "size"), [(1e-304, 1e9), (1.0, 1e200), (1e300, 1e-200)])
+def test_differences_of_any_size_in_noise_are_drawn(noise, size):
+    diagnosis = examples.explained()
+    trace = diagnosis.traces[0]
+    difference = size * np.arange(1.0, 1.0 + trace.measured.size).reshape(trace.measured.shape)
+    extreme = replace(trace, measured=trace.recalibrated + difference)
+    diagnosis = replace(diagnosis, traces=(extreme,), noise=dict.fromkeys(diagnosis.noise, noise))
+    assert as_png(traces_figure(diagnosis))
 
 
 def test_a_floor_of_next_to_nothing_stays_in_the_picture():

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from labrun.arrays import FloatArray
 from labrun.fit import Curve, FigureData, FitResult, FitSummary, Panel, Stack
 from labrun.report import style
+from labrun.report.statistics import root_mean_square, scaled_to_largest
 
 _SHOWN, _ACROSS = 6, 3
 _MOST_SWINGS = 24
@@ -209,7 +210,7 @@ def _overlay(result: FitResult, trial: int, column: int, mark: str) -> Stack:
     inside = (time_s >= section[0]) & (time_s <= section[1])
     scale, unit = _scaled(result, column, output.unit)
     limit = 1.05 * scale * max(float(np.max(np.abs(part[:, column]))) for part in result.residuals) or 1.0
-    rms = scale * float(np.sqrt(np.mean(residual**2)))
+    rms = scale * root_mean_square(residual)
     upper = Panel(
         (
             Curve(time_s[inside], measured[inside], "measured", "measured", bold=True),
@@ -236,9 +237,7 @@ def _overlay(result: FitResult, trial: int, column: int, mark: str) -> Stack:
 def _misfits(result: FitResult) -> FloatArray:
     """Return one number a trial: its residual in units of the whole fit's, averaged over outputs."""
     total = np.array([max(result.rmse[output.name], 1e-300) for output in result.dataset.outputs])
-    return np.array(
-        [float(np.sqrt(np.mean(np.mean(part**2, axis=0) / total**2))) for part in result.residuals]
-    )
+    return np.array([root_mean_square(residual / total) for residual in result.residuals])
 
 
 def _overlay_title(result: FitResult, shown: int) -> str:
@@ -265,7 +264,7 @@ def _section(time_s: FloatArray, measured: FloatArray, residual: FloatArray) -> 
         return whole
     length = (whole[1] - whole[0]) * _SECTION_SWINGS / swings
     width = max(int(len(time_s) * _SECTION_SWINGS / swings), 2)
-    energy = np.convolve(residual**2, np.ones(width), mode="same")
+    energy = np.convolve(np.square(scaled_to_largest(residual)), np.ones(width), mode="same")
     centre = float(time_s[int(np.argmax(energy))])
     start = min(max(centre - 0.5 * length, whole[0]), whole[1] - length)
     return start, start + length

@@ -1,5 +1,6 @@
 """Figures of a diagnosis over time: outputs where they differ most, and the force that is missing."""
 
+import math
 import textwrap
 from collections.abc import Sequence
 from typing import Any
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 from labrun.arrays import FloatArray
 from labrun.gap import ComparedTrace, Diagnosis, MissingForce
 from labrun.report.figures.gap import AFTER, RECALIBRATED, STATED
+from labrun.report.statistics import root_mean_square, scaled_to_largest
 from labrun.report.style import COLOURS, FAINT, INK, new_figure, zero_line
 from labrun.report.text import listed, spaced, with_unit
 from labrun.spec import condition_key
@@ -85,13 +87,19 @@ def _courses_figure(diagnosis: Diagnosis, traces: Sequence[ComparedTrace]) -> Fi
 
 def _window(diagnosis: Diagnosis, trace: ComparedTrace, outputs: Sequence[int]) -> slice:
     """Return the samples to be shown large: by the output that is farthest off."""
-    rest = (trace.measured - trace.recalibrated) / _sd(diagnosis, trace.measured.shape[1])
-    worst = max(outputs, key=lambda output: float(np.mean(np.square(rest[:, output]))))
+    rest = trace.measured - trace.recalibrated
+    sd = _sd(diagnosis, rest.shape[1])
+    worst = max(outputs, key=lambda output: _log_ratio(root_mean_square(rest[:, output]), float(sd[output])))
     return telling_window(trace.time_s, trace.recalibrated[:, worst], rest[:, worst])
 
 
 def _sd(diagnosis: Diagnosis, outputs: int) -> FloatArray:
     return np.array([diagnosis.noise.get(name) or 1.0 for name, _ in diagnosis.channels[:outputs]])
+
+
+def _log_ratio(error: float, sd: float) -> float:
+    """Return the logarithm of error / sd, where the ratio itself may exceed the floating-point range."""
+    return math.log(error) - math.log(sd) if error > 0.0 else -math.inf
 
 
 def _draw_course(axes: Axes, diagnosis: Diagnosis, trace: ComparedTrace, output: int, shown: slice) -> None:
@@ -175,7 +183,7 @@ def worst_outputs(diagnosis: Diagnosis, traces: Sequence[ComparedTrace]) -> list
 
     def off(output: int) -> float:
         rest = np.concatenate([one.measured[:, output] - one.recalibrated[:, output] for one in traces])
-        return float(np.sqrt(np.mean(np.square(rest)))) / float(sd[output])
+        return _log_ratio(root_mean_square(rest), sd[output])
 
     return sorted(sorted(range(known), key=off, reverse=True)[:_MOST_OUTPUTS])
 
@@ -228,7 +236,7 @@ def telling_window(time_s: FloatArray, simulated: FloatArray, difference: FloatA
     length = int(np.ceil(2.0 * _CYCLES * count / crossings)) if crossings else count
     if length > _WHOLE * count or length < 2:
         return slice(0, count)
-    sums = np.concatenate([[0.0], np.cumsum(np.square(difference))])
+    sums = np.concatenate([[0.0], np.cumsum(np.square(scaled_to_largest(difference)))])
     start = int(np.argmax(sums[length:] - sums[:-length]))
     return slice(start, start + length)
 
