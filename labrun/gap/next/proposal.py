@@ -22,7 +22,6 @@ from labrun.gap.next.separation import (
     Separation,
     hopeless,
     predict,
-    rehearse,
     rivals_of,
 )
 from labrun.gap.next.trials import PlannedTrial, free_place
@@ -30,8 +29,6 @@ from labrun.gap.pipeline import Search, search_causes
 from labrun.notebook import as_html
 from labrun.store import imported_channels, open_run, require_writable
 
-_EVIDENCE_AIMED_AT = (3.0, 10.0)
-"""Evidence, over what a diagnosis asks for, at which no further trial is needed, to first order."""
 _ROOM_OF_OUTPUTS = 1.2
 """How far beyond the recorded range of an output a planned recording may be predicted to go."""
 
@@ -58,7 +55,7 @@ class Proposal:
     time_s
         Rig time of all of it; `time_at_most_s` if every settling takes until its timeout.
     outlook
-        Pair by pair, refitted.
+        Pair by pair.
     advice
         What would separate those that this does not.
     commands
@@ -386,25 +383,11 @@ def design(
     rivals = rivals_of(search)
     note(f"comparing {len(pool)} trials for {len(rivals.rivals)} explanations")
     separation = Separation(rivals, dataset, pool, criteria.NEXT_REPEATS)
-    best: ProposedTrials | None = None
-    for enough in _EVIDENCE_AIMED_AT:
-        chosen = separation.choose(enough)
-        expected = separation.evidence(chosen)
-        trials = tuple(separation.trials[k] for k in chosen)
-        if not trials or hopeless(expected):
-            return ProposedTrials((), tuple(expected), rivals)
-        if best is not None and trials == best.trials:
-            break
-        note("fitting every explanation to what the others predict for the chosen trials")
-        fitted = rehearse(rivals, dataset, trials, criteria.NEXT_REPEATS)
-        # a fit that lost its way leaves more than the first order does: the lesser of the two is to be believed
-        pairs = zip(expected, fitted, strict=True)
-        found = ProposedTrials(trials, tuple(min(both, key=lambda one: one.ratio) for both in pairs), rivals)
-        if best is None or found.decided > best.decided:
-            best = found
-        if found.decided == len(found.evidence):
-            break
-    return best if best is not None else ProposedTrials((), (), rivals)
+    chosen = separation.choose()
+    evidence = tuple(separation.evidence(chosen))
+    if not chosen or hopeless(evidence):
+        return ProposedTrials((), evidence, rivals)
+    return ProposedTrials(tuple(separation.trials[k] for k in chosen), evidence, rivals)
 
 
 def inside(search: Search, dataset: Dataset, pool: Sequence[PlannedTrial]) -> list[PlannedTrial]:

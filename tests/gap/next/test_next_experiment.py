@@ -151,7 +151,7 @@ def proposed(request, tmp_path_factory):
     return bench, folder, propose(folder, workspace=workspace), truth, others
 
 
-def test_the_true_effect_stays_among_the_candidates_after_the_proposed_trials(proposed):
+def test_what_the_data_cannot_tell_apart_is_told_apart_by_the_proposed_trials(proposed):
     bench, folder, proposal, truth, others = proposed
     assert proposal.doubt
     assert truth in proposal.rivals
@@ -162,6 +162,9 @@ def test_the_true_effect_stays_among_the_candidates_after_the_proposed_trials(pr
     left = {str(one.name) for one in found.candidates if one.verdict in ("cause", "rival")}
     assert str(cause.name) in left
     assert truth in left
+    # the same effect at another place of the signal's way does the same
+    effect = truth.partition(" at ")[0]
+    assert not [name for name in others & left if name.partition(" at ")[0] != effect]
 
 
 def test_the_pair_is_expected_to_be_told_apart_beforehand(proposed):
