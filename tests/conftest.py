@@ -2,9 +2,11 @@
 
 import gc
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import rendering
 from hypothesis import settings
 from hypothesis.internal.conjecture import providers
 
@@ -55,6 +57,20 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_xdist_auto_num_workers() -> int:
     """Take two workers more than there are cores: tests of drivers mostly wait for emulated devices in real time."""
     return (os.cpu_count() or 1) + 2
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _empty_pictures() -> None:
+    rendering.leave_pictures_empty()
+
+
+@pytest.fixture(autouse=True)
+def _rendered_pictures(request: pytest.FixtureRequest) -> Iterator[None]:
+    if request.node.get_closest_marker("rendered") is None:
+        yield
+    else:
+        with rendering.rendered():
+            yield
 
 
 @pytest.fixture(scope="session")

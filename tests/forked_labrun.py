@@ -87,8 +87,11 @@ def forked_emulators() -> Iterator[None]:
 
 
 def _serve(address: str) -> None:
-    import matplotlib.pyplot  # noqa: F401
+    sys.path.append(str(Path(__file__).parent))
+    import rendering
 
+    sys.path.pop()
+    rendering.leave_pictures_empty()
     for package in ("app", "cli", "fit", "gap", "report"):
         for module in pkgutil.walk_packages([str(Path(labrun.__path__[0]) / package)], f"labrun.{package}."):
             importlib.import_module(module.name)

@@ -1,6 +1,7 @@
 """Diagnoses as an engine would give them, of a pendulum on a hinge, a static relation and a single condition."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -29,6 +30,7 @@ BACKLASH = Name("backlash", "hinge")
 INERTIA = Name("inertia", "inertia", "parameter")
 
 
+@cache
 def swing(release_rad, friction=0.0, stiffness=1.43e-2, duration_s=6.0):
     """Angle, rate and friction of a pendulum that is let go, by small Euler steps; arrays (n,)."""
     inner, steps = 8, int(duration_s * RATE_HZ)

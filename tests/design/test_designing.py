@@ -117,6 +117,7 @@ def test_the_best_is_what_copies_within_the_tolerance_do(paddle):
     assert any(re.match(r"copies +\d of 5 within the tolerances break", line) for line in result.more)
 
 
+@pytest.mark.rendered
 def test_a_design_is_handed_on_as_model_sheet_and_drawing(paddle):
     result = found(paddle(("iterations = 25", "iterations = 3")))
     length = result.best.parameters["length"]

@@ -47,6 +47,7 @@ def test_an_effect_shows_in_its_picture_and_differently_at_its_two_sizes(effect)
     assert np.abs(first - second).max() > visible
 
 
+@pytest.mark.rendered
 def test_a_picture_is_drawn_as_it_was_committed():
     """Of one effect of each kind: size and most of the pixels, as fonts may be another build's."""
     for name in ("joint-viscous-damping.png", "body-wall-echo.png", "input-delay.png", "output-drift.png"):

@@ -12,6 +12,7 @@ from labrun.report.figures.search import draw_search
 from labrun.report.figures.sweep import Axis, axes_of, best_over_others, draw_sweep, map_colours, most_telling
 from labrun.report.style import DIVERGING, SEQUENTIAL, save_figure
 
+pytestmark = pytest.mark.rendered
 GRID = {"from": 0, "to": 10, "step": 2.5}
 
 

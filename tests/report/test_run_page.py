@@ -8,6 +8,7 @@ import shutil
 
 import gap_examples as examples
 import pytest
+from rendering import rendered
 from report_runs import measure
 from typer.testing import CliRunner
 
@@ -33,7 +34,8 @@ def page_of(target, output=None):
 
 @pytest.fixture(scope="module")
 def page(finished, tmp_path_factory):
-    return page_of(finished, tmp_path_factory.mktemp("page") / "report.html")
+    with rendered():
+        return page_of(finished, tmp_path_factory.mktemp("page") / "report.html")
 
 
 @pytest.fixture(scope="module")
@@ -119,6 +121,7 @@ def test_every_link_leads_somewhere(page):
     assert set(re.findall(r'href="#([^"]+)"', page)) <= set(re.findall(r' id="([^"]+)"', page))
 
 
+@pytest.mark.rendered
 def test_the_same_run_gives_the_same_report(finished, page, tmp_path):
     assert page_of(finished, tmp_path / "again.html") == page
 

@@ -19,6 +19,8 @@ from labrun.report.statistics import (
 from labrun.report.style import as_svg
 from labrun.store import SettleSummary, TrialOutcome
 
+pytestmark = pytest.mark.rendered
+
 
 def references(count=20, noise=0.05, slope_per_h=0.1, seed=1):
     view = sweep_view(lambda c: 0.0, {"f": [1]})

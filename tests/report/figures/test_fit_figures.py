@@ -10,6 +10,8 @@ from swings import dataset_of, swing
 from labrun.fit import Curve, FigureData, FitResult, FittedData, Panel, Stack
 from labrun.report.figures.fits import draw_figure, fit_figure, shown_trials
 
+pytestmark = pytest.mark.rendered
+
 
 def everything_is_on_the_page(figure: Figure) -> None:
     """Every label and title lies inside the figure."""
