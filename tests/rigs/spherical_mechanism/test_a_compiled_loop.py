@@ -18,6 +18,8 @@ from labrun.errors import LabrunError
 from labrun.learned import Network, Scaling, files_of, read_learned
 from labrun.store import open_run
 
+pytestmark = pytest.mark.xdist_group("compiled loops")  # a loop is compiled once, by one worker
+
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 TRANSFER = EXPERIMENTS / "spm-transfer.toml"
 CONDITION = 'track.conditions=[{ controller = "mlp-ik", history_s = 1.0, load_g = 100, load_from_s = 1.5 }]'
