@@ -1,37 +1,43 @@
-"""Two units, days or gains held against one model: which parameter or effect differs beyond noise, which does not."""
+"""Two units, days or gains compared with one model: which parameter or effect differs, by how much, which does not.
+
+Both are fitted together. Every parameter, and every size of an effect that the model carries, has an indicator
+variable: its difference in the second unit, held at zero. The candidates are those differences, and the effects of the
+library in one unit alone or in both. The rule of `labrun.gap.decide` chooses among them as among causes.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect, Scale
 from labrun.errors import RequestError
-from labrun.fit import Dataset, Each, Note, Problem, minimise, one_by_one, search, silent, student
+from labrun.fit import Dataset, Each, FitTrial, Note, Problem, minimise, one_by_one, search, silent
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
-from labrun.gap.candidates import Candidate, candidates, site_scales
+from labrun.gap.candidates import COMMON, Candidate, candidates, site_scales
 from labrun.gap.diagnosis import Name, ResampledNumber
-from labrun.gap.intervals import effect_units
-from labrun.gap.noise import from_reading_errors, from_repeats, from_residual
-from labrun.gap.recalibration import as_stated, in_units_of, member_residuals, stated_problem
-from labrun.gap.screening import Base, Survey, refit, rough, survey
-from labrun.gap.unit_pair import BOTH, FIRST, SECOND, UNIT, UnitPair, both_units
-from labrun.gap.unit_scatter import kept_unseen, scatter_of_trials
+from labrun.gap.evidence import Units
+from labrun.gap.held_out import floor_of, mean_residuals
+from labrun.gap.intervals import effect_units, scatter
+from labrun.gap.noise import Noise, from_reading_errors, from_repeats, of_sensor
+from labrun.gap.progress import Progress
+from labrun.gap.recalibration import as_stated, in_noise, member_residuals, stated_problem
+from labrun.gap.screening import Base, refit
+from labrun.gap.selection import Chosen, Selection, Selector
 from labrun.models import Model
 from labrun.notebook import as_reported
 
-_DIFFERENCES_FITTED = 4
-_DIFFERENCE_ROUNDS = 6
-"""Candidates that are fitted in each round, the most promising ones, and most rounds."""
-_DIFFERENCE_AS_GOOD = 0.02
-_DIFFERENCE_LITTLE = 0.1
-"""What removes less than the best by this part of that, or of what the best leaves, says as much."""
-_DIFFERENCE_KEPT = 0.5
-"""Part of its gain that a difference must keep on trials it did not see."""
+UNIT = "unit compared"
+"""Key of a trial's condition that says which unit it is of."""
+FIRST, SECOND, BOTH = "first", "second", ""
+
+_HELD, _RELEASED = 1e-6, 1e4
+"""Standard deviation of a difference that is held at zero, and of one that is not, in units of the variable."""
 _KNOWN_NOT_TO_DIFFER = 0.2
-"""Half an interval, as a part of the value, up to which it may be said that something does not differ."""
+"""Change, as a part of the value, up to which something is said not to differ."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +53,10 @@ class UnitDifference:
     change
         Second less first, with a 95 % interval.
     verdict
-        "differs"; "both lack": an effect that the model has in neither; "same", to within a fifth of the value; "open".
+        "differs": by the rule; "both lack": an effect that the model has in neither; "same", to within a fifth of the
+        value; "open".
     or_else
-        What would explain these data as well.
+        Rivals: what explains these data as well in its place.
     """
 
     name: Name
@@ -82,7 +89,7 @@ class UnitComparison:
     @property
     def differing(self) -> tuple[UnitDifference, ...]:
         """What differs beyond noise."""
-        return tuple(one for one in self.differences if one.verdict == "differs")
+        return tuple(difference for difference in self.differences if difference.verdict == "differs")
 
     def _repr_html_(self) -> str:
         return as_reported("units_text", self)
@@ -96,58 +103,154 @@ class UnitComparison:
             "trials": list(self.trials),
             "differences": [
                 {
-                    **one.name.to_json(),
-                    "parameter": one.parameter,
-                    "first": one.first,
-                    "second": one.second,
-                    "change": {"value": one.change.value, "ci95": [one.change.low, one.change.high]},
-                    "unit": one.change.unit,
-                    "verdict": one.verdict,
-                    "or_else": list(one.or_else),
+                    **difference.name.to_json(),
+                    "parameter": difference.parameter,
+                    "first": difference.first,
+                    "second": difference.second,
+                    "change": {
+                        "value": difference.change.value,
+                        "ci95": [difference.change.low, difference.change.high],
+                    },
+                    "unit": difference.change.unit,
+                    "verdict": difference.verdict,
+                    "or_else": list(difference.or_else),
                 }
-                for one in self.differences
+                for difference in self.differences
             ],
             "share": self.share,
             "notes": list(self.notes),
         }
 
 
-@dataclass(frozen=True)
-class _InUnit(Candidate):
-    """An effect of the library that one unit alone would have."""
+@dataclass(frozen=True, eq=False)
+class _Pair(Problem):
+    """A problem of two units: each variable has a difference in the second one; some effects act in one of them only.
 
-    unit: str = SECOND
+    Attributes
+    ----------
+    places, slots
+        Of each variable that has a difference, its index among the parameters, and the index of its difference.
+    ends
+        The values it may take in the second unit.
+    only
+        Of every effect, the unit that has it; "" where both do.
+    """
+
+    places: tuple[int, ...] = ()
+    slots: tuple[int, ...] = ()
+    ends: tuple[tuple[float, float], ...] = ()
+    only: tuple[str, ...] = ()
+
+    def with_differences(self, variables: Sequence[int]) -> Self:
+        """Return the problem with a difference of each of these variables, held at zero."""
+        priors, count = self.priors, len(self.priors.values)
+        places = [int(priors.free[variable]) for variable in variables]
+        parameters = self.model.parameters
+        ends = [
+            (parameters[place].lower, parameters[place].upper)
+            if place < len(parameters)
+            else (float(end[0]), float(end[1]))
+            for place, end in zip(places, np.column_stack(self._ends(variables)), strict=True)
+        ]
+        slots = range(count, count + len(variables))
+        scale = priors.scale[list(variables)]
+        names = tuple(_difference_of(priors.names[variable]) for variable in variables)
+        held = replace(
+            priors,
+            values=np.append(priors.values, np.zeros(len(slots))),
+            free=np.append(priors.free, slots),
+            names=(*priors.names, *names),
+            scale=np.append(priors.scale, scale),
+            sigma=np.append(priors.sigma, _HELD * scale),
+            pull=np.append(priors.pull, _HELD * scale),
+            lower=np.append(priors.lower, np.full(len(slots), -np.inf)),
+            upper=np.append(priors.upper, np.full(len(slots), np.inf)),
+        )
+        return replace(
+            self,
+            priors=held,
+            places=(*self.places, *places),
+            slots=(*self.slots, *slots),
+            ends=(*self.ends, *ends),
+        )
+
+    def _ends(self, variables: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        chosen = list(variables)
+        scale = self.priors.scale[chosen]
+        return self.priors.lower[chosen] * scale, self.priors.upper[chosen] * scale
+
+    def differing(self, name: str) -> Self:
+        """Return the problem in which a variable may differ."""
+        variable = self.priors.names.index(_difference_of(name))
+        sigma, pull = self.priors.sigma.copy(), self.priors.pull.copy()
+        sigma[variable], pull[variable] = np.inf, _RELEASED * self.priors.scale[variable]
+        return replace(self, priors=replace(self.priors, sigma=sigma, pull=pull))
+
+    def with_effect_in(self, unit: str, attached: AttachedEffect, scale: Scale) -> Self:
+        """Return the problem with an effect that one unit has, or both."""
+        return replace(self.with_effects([attached], [scale]), only=(*self.only, unit))
+
+    def attached(self, parameters: FloatArray) -> tuple[AttachedEffect, ...]:
+        """Return the effects with their sizes, as they are in the first unit."""
+        return super().attached(np.delete(parameters, self.slots) if self.slots else parameters)
+
+    def simulate(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
+        """Return the outputs (n, m) of one trial of its unit; None where they are not finite."""
+        unit, parameters = self.data.trials[trial].condition[UNIT], parameters.copy()
+        if unit == SECOND:
+            for place, slot, (low, high) in zip(self.places, self.slots, self.ends, strict=True):
+                parameters[place] = min(max(parameters[place] + parameters[slot], low), high)
+        of_effects = np.setdiff1d(np.arange(len(parameters)), self.slots)[len(self.model.parameters) :]
+        sizes = [
+            (unit_of_effect, parameter.neutral)
+            for effect, unit_of_effect in zip(self.effects, self.only, strict=True)
+            for parameter in effect.effect.parameters
+        ]
+        for index, (unit_of_effect, neutral) in zip(of_effects, sizes, strict=True):
+            if unit_of_effect not in (BOTH, unit) and neutral is not None:
+                parameters[index] = neutral
+        return super().simulate(parameters, trial, own)
+
+
+def _difference_of(name: str) -> str:
+    return f"difference of {name}"
+
+
+@dataclass(frozen=True)
+class _UnitName(Name):
+    """Name of an effect in one unit, or of a difference between both, with its words for people."""
+
+    label: str = ""
+
+    def __str__(self) -> str:
+        return self.label
+
+
+@dataclass(frozen=True)
+class _Differs(Candidate):
+    """A variable that may differ between the units."""
+
+    variable: str = ""
 
     def added_to(self, problem: Problem) -> Problem:
-        if not isinstance(problem, UnitPair) or self.attached is None or self.scale is None:
-            raise TypeError("an effect of one unit belongs in a pair of units")
-        return problem.with_effect_in(self.unit, self.attached, self.scale)
+        return cast("_Pair", problem).differing(self.variable)
 
 
 @dataclass(frozen=True)
-class _Try:
-    """One difference more: of a variable, or an effect in one unit; and the fit with it."""
+class _InUnit(Candidate):
+    """An effect of the library in one unit alone, or in both: the latter is the more common."""
 
-    words: str
-    variable: int | None
-    candidate: _InUnit | None
-    problem: UnitPair
-    z: FloatArray
-    gain: float
+    unit: str = BOTH
 
     @property
-    def added(self) -> int:
-        return 1 if self.candidate is None else self.candidate.variables
+    def complexity(self) -> tuple[int, int]:
+        variables, uncommon = super().complexity
+        return variables, uncommon + (0 if self.unit == BOTH else len(COMMON))
 
-    @property
-    def common(self) -> bool:
-        """Tell whether it is no difference, but something that both units have and the model lacks."""
-        return self.candidate is not None and self.candidate.unit == BOTH
-
-    @property
-    def rank(self) -> tuple[int, int]:
-        """What comes first among things that explain as much."""
-        return (0 if self.candidate is None else 1 if self.common else 2), self.added
+    def added_to(self, problem: Problem) -> Problem:
+        if self.attached is None or self.scale is None:
+            raise TypeError("an effect of one unit has a place")
+        return cast("_Pair", problem).with_effect_in(self.unit, self.attached, self.scale)
 
 
 def compare_units(
@@ -160,12 +263,9 @@ def compare_units(
     each: Each = one_by_one,
     note: Note = silent,
 ) -> UnitComparison:
-    """Say which parameter or effect differs between two units beyond noise, and which does not.
+    """Return which parameter or effect differs between two units, by how much, and which does not.
 
-    One model is fitted to both, its parameters and the sizes of its effects the same; then, one after the other, what
-    explains most by differing is let differ: a parameter, a size, or an effect of the library that one unit alone has.
-    It counts where its change is beyond what trials scatter by, at 5 % over all that was tried (Bonferroni); intervals
-    come from the scatter of the trials' own pulls (the sandwich of White 1980 with a trial as cluster).
+    What both units have and the model lacks is added to the model first; then its sizes are compared, too.
 
     Parameters
     ----------
@@ -180,160 +280,113 @@ def compare_units(
         The model does not simulate them.
     """
     _require_alike(first, second)
-    notes = list[str]()
-    data = averaged(both_units(first, second), model)
-    problem, z = _common(model, data, rng, note)
-    pair, base_z = problem, z
-    library = _library(problem, z)
-    variables, shared = problem.size, list(range(problem.size))
-    tried = variables + len(library)
-    differing = 0.0
-    chosen: list[tuple[_Try, tuple[str, ...]]] = []
-    for _ in range(_DIFFERENCE_ROUNDS):
-        note(f"looking for what differs ({tried} things that could)")
-        round_ = _round(pair, base_z, library, [one for one, _ in chosen], shared, each)
-        if not round_:
+    data = averaged(_both_units(first, second), model)
+    problem, z, noise = _common(model, data, rng, note)
+    lacking = list[str]()
+    for _ in range(criteria.MOST_CAUSES):
+        base = Base.of(problem, z)
+        units = Units.of(data, mean_residuals(problem, z))
+        floor = floor_of(data, noise, rng) if noise.known else 0.0
+        library = _library(problem, z)
+        note(f"looking for what differs ({len(library)} candidates)")
+        selector = Selector(base, library, noise, units, floor, rng, Progress(each, note))
+        selection = selector.select()
+        common = [cause for cause in selection.chosen if getattr(cause.candidate, "unit", None) == BOTH]
+        if not common:
             break
-        most = max(one.gain for one in round_)
-        loss = max(_DIFFERENCE_AS_GOOD * most, _DIFFERENCE_LITTLE * (pair.squares(base_z) - most))
-        as_good = [one for one in round_ if one.gain >= most - loss]
-        best = min(as_good, key=lambda one: (*one.rank, -one.gain))
-        deviation, freedom = scatter_of_trials(best.problem, best.z)
-        sizes = range(best.problem.size - best.added, best.problem.size)
-        strength = max(abs(best.z[one]) / deviation[one] for one in sizes)
-        beyond = strength > student(freedom, 1.0 - 0.025 / tried)
-        if not beyond or kept_unseen(best.problem, best.z, best.added) < _DIFFERENCE_KEPT:
-            break
-        rivals = tuple(one.words for one in as_good if one is not best and not _richer(one, best))
-        chosen.append((best, rivals))
-        pair, base_z = best.problem, best.z
-        differing += 0.0 if best.common else best.gain
-        shared += sizes if best.common else ()
-    note("bounding what does not differ")
-    found = _told(pair, base_z, chosen, shared, variables, first)
-    left = pair.squares(base_z) - _all_differing(pair, base_z, shared, chosen)
-    share = float(differing / (differing + max(left, 0.0))) if differing > 0 else None
-    notes += _remarks(data, len(first.trials), len(second.trials))
+        problem, z, added = _with_common(problem, z, selection, common, noise)
+        lacking += added
+    note("estimating what does not differ")
+    differences = _differences(selection, noise, units, rng, lacking)
+    remarks = _remarks(data, len(first.trials), len(second.trials))
+    share = _share(selection)
     return UnitComparison(
-        *names, model.name, (len(first.trials), len(second.trials)), found, share, tuple(notes)
+        *names, model.name, (len(first.trials), len(second.trials)), differences, share, tuple(remarks)
     )
 
 
 def _require_alike(first: Dataset, second: Dataset) -> None:
-    mine, theirs = (
-        [(one.name, one.unit) for one in (*data.inputs, *data.outputs)] for data in (first, second)
-    )
-    if mine != theirs:
+    channels = [
+        [(signal.name, signal.unit) for signal in (*data.inputs, *data.outputs)] for data in (first, second)
+    ]
+    if channels[0] != channels[1]:
         raise RequestError(
-            f"{second.source} has other channels than {first.source}: {theirs} beside {mine}",
-            hint="compare only what was recorded alike",
+            f"{second.source} has other channels than {first.source}: {channels[1]} instead of {channels[0]}",
+            hint="compare two recordings with the same channels in the same units",
         )
 
 
-def _common(model: Model, data: Dataset, rng: np.random.Generator, note: Note) -> tuple[UnitPair, FloatArray]:
-    """Fit one model to both units, the sizes of the effects it carries too, in units of the noise."""
+def _both_units(first: Dataset, second: Dataset) -> Dataset:
+    """Return the trials of both, each with its unit in its condition."""
+
+    def trials_of(data: Dataset, unit: str) -> list[FitTrial]:
+        return [replace(trial, condition={**trial.condition, UNIT: unit}) for trial in data.trials]
+
+    return replace(first, trials=(*trials_of(first, FIRST), *trials_of(second, SECOND)))
+
+
+def _common(
+    model: Model, data: Dataset, rng: np.random.Generator, note: Note
+) -> tuple[_Pair, FloatArray, Noise]:
+    """Fit one model to both units, the sizes of the effects it carries too, each with a difference held at zero."""
     note("fitting one model to both")
     bare = replace(model, effects=())
     plain = stated_problem(model, data)
     scales = site_scales(plain, plain.begin())
-    fitted = [
-        (one, scales[one.effect.kind, one.site])
-        for one in model.effects
-        if (one.effect.kind, one.site) in scales
-    ]
+    fitted = [effect for effect in model.effects if (effect.effect.kind, effect.site) in scales]
     if len(fitted) < len(model.effects):  # sizes that nothing shows stay as they are, and the model with them
         bare, fitted = model, []
-    problem = as_stated(UnitPair.of(bare, data))
-    if fitted:
-        problem = problem.with_effects([one for one, _ in fitted], [scale for _, scale in fitted])
-    problem = replace(problem, only=("",) * len(fitted)).refined(problem.begin())
-    z = search(problem, rng, starts=criteria.RECALIBRATION_STARTS, note=lambda _: None)[0].z
-    deviations = member_residuals(problem, z)
+    problem = as_stated(_Pair.of(bare, data))
+    for effect in fitted:
+        problem = problem.with_effect_in(BOTH, effect, scales[effect.effect.kind, effect.site])
+    problem = problem.refined(problem.begin())
+    z = search(problem, rng, starts=criteria.RECALIBRATION_STARTS, note=silent)[0].z
     noise = (
-        from_repeats(data, deviations) or from_reading_errors(data) or from_residual(data, deviations).plain()
+        from_repeats(data, member_residuals(problem, z))
+        or from_reading_errors(data)
+        or of_sensor(data, mean_residuals(problem, z))
     )
-    measured = in_units_of(noise, problem, z)
-    return cast("UnitPair", measured), refit(measured, z)
+    count = problem.size
+    problem = problem.with_differences(range(count))
+    return *_fitted(problem, np.insert(z, count, np.zeros(count)), noise), noise
 
 
-def _library(problem: UnitPair, z: FloatArray) -> list[_InUnit]:
-    """Return the effects of the library that the model has not, in either unit."""
-    scales = site_scales(problem, z)
-    has = {(one.effect.id, one.site) for one in (*problem.effects, *problem.model.effects)}
-    found = [
-        one
-        for one in candidates(problem.model, scales)
-        if one.name.kind == "effect" and (one.name.effect, one.name.site) not in has
-    ]
-    return [
-        _InUnit(one.name, one.attached, one.scale, one.starts, unit)
-        for one in found
-        for unit in (BOTH, SECOND, FIRST)
-    ]
+def _fitted(problem: _Pair, z: FloatArray, noise: Noise) -> tuple[_Pair, FloatArray]:
+    fitted = in_noise(problem, noise, z)
+    return cast("_Pair", fitted.problem), fitted.z
 
 
-def _round(
-    problem: UnitPair,
-    z: FloatArray,
-    library: Sequence[_InUnit],
-    chosen: Sequence[_Try],
-    shared: Sequence[int],
-    each: Each,
-) -> list[_Try]:
-    """Fit the few most promising differences beside those that are chosen."""
-    base = Base.of(problem, z)
-    before = base.nuisance.remainder(base.residual, problem.priors.residual(z))
-    second = [one.condition[UNIT] == SECOND for one in problem.data.trials]
-    gone = {one.variable for one in chosen}
-
-    def promise(variable: int) -> float:
-        shared = base.nuisance.jacobian.shared
-        line = base.nuisance.remainder(
-            [block[:, variable] * there for block, there in zip(shared, second, strict=True)]
-        )
-        length = float(line @ line)
-        return float(before @ line) ** 2 / length if length > 0 else 0.0
-
-    most = _DIFFERENCES_FITTED
-    variables = sorted((one for one in shared if one not in gone), key=lambda one: -promise(one))[:most]
-    taken = {one.candidate.name for one in chosen if one.candidate is not None}
-    looked = each(lambda one: survey(base, one), [one for one in library if one.name not in taken])
-    looked = sorted((one for one in looked if one.starts), key=lambda one: -one.potential)
-    effects = [
-        *[one for one in looked if _unit_of(one) == BOTH][:most],
-        *[one for one in looked if _unit_of(one) != BOTH][:most],
-    ]
-    return [
-        *each(lambda one: _let_differ(base, one), variables),
-        *each(lambda one: _with_effect(base, one), effects),
-    ]
+def _library(problem: _Pair, z: FloatArray) -> list[Candidate]:
+    """Return the differences of all variables, and the effects that the model has not, in either unit or both."""
+    library: list[Candidate] = []
+    for variable in _variables(problem):
+        name = problem.priors.names[variable]
+        label = _words(*_named(problem, variable))
+        library.append(_Differs(_UnitName(name, name, "parameter", label), None, None, ((),), name))
+    has = {(effect.effect.id, effect.site) for effect in (*problem.effects, *problem.model.effects)}
+    for candidate in candidates(problem.model, site_scales(problem, z)):
+        effect, site = candidate.name.effect, candidate.name.site
+        if candidate.attached is None or (effect, site) in has:
+            continue
+        for unit in (BOTH, SECOND, FIRST):
+            where = "both" if unit == BOTH else f"the {unit} alone"
+            label = f"{candidate.name.words} in {where}"
+            library.append(
+                _InUnit(
+                    _UnitName(effect, f"{site} in {where}", "effect", label),
+                    candidate.attached,
+                    candidate.scale,
+                    candidate.starts,
+                    unit,
+                )
+            )
+    return library
 
 
-def _unit_of(surveyed: Survey) -> str:
-    return cast("_InUnit", surveyed.candidate).unit
-
-
-def _let_differ(base: Base, variable: int) -> _Try:
-    problem = cast("UnitPair", base.problem).differing(variable)
-    z = refit(problem, np.insert(base.z, base.problem.size, 0.0))
-    words = _named(base.problem, variable)[0].words
-    return _Try(words, variable, None, problem, z, base.squares - problem.squares(z))
-
-
-def _with_effect(base: Base, surveyed: Survey) -> _Try:
-    ended = rough(base, surveyed)
-    z = refit(ended.problem, ended.z)
-    unit, candidate = _unit_of(surveyed), cast("_InUnit", surveyed.candidate)
-    words = f"{candidate.name.words} in {'both' if unit == BOTH else f'the {unit} alone'}"
-    gain = base.squares - ended.problem.squares(z)
-    return _Try(words, None, candidate, cast("UnitPair", ended.problem), z, gain)
-
-
-def _richer(one: _Try, best: _Try) -> bool:
-    """Tell whether an effect contains the one that explains as much."""
-    if one.candidate is None or best.candidate is None or one.candidate.attached is None:
-        return False
-    return best.candidate.name.effect in one.candidate.attached.effect.contains
+def _variables(problem: _Pair) -> list[int]:
+    """Return the variables that have a difference."""
+    names = problem.priors.names
+    return [variable for variable, name in enumerate(names) if _difference_of(name) in names]
 
 
 def _named(problem: Problem, variable: int) -> tuple[Name, str]:
@@ -341,101 +394,147 @@ def _named(problem: Problem, variable: int) -> tuple[Name, str]:
     number, _, parameter = problem.priors.names[variable].partition(".")
     if not parameter:
         return Name(number, number, "parameter"), number
-    one = problem.effects[int(number)]
-    return Name(one.effect.id, one.site), parameter
+    effect = problem.effects[int(number)]
+    return Name(effect.effect.id, effect.site), parameter
 
 
-def _estimate(problem: Problem, z: FloatArray, variable: int, unit: str) -> ResampledNumber:
-    deviation, freedom = scatter_of_trials(problem, z)
-    scale = problem.priors.scale[variable]
-    half = float(student(freedom) * deviation[variable] * scale)
-    value = float(z[variable] * scale)
-    return ResampledNumber(value, value - half, value + half, unit)
+def _words(name: Name, parameter: str) -> str:
+    return name.words if name.kind == "parameter" else f"{parameter} of {name.words}"
 
 
-def _told(
-    problem: UnitPair,
-    z: FloatArray,
-    chosen: Sequence[tuple[_Try, tuple[str, ...]]],
-    shared: Sequence[int],
-    variables: int,
-    data: Dataset,
+def _with_common(
+    problem: _Pair, z: FloatArray, selection: Selection, common: Sequence[Chosen], noise: Noise
+) -> tuple[_Pair, FloatArray, list[str]]:
+    """Return the common model with the effects that both units have, and the names of their variables."""
+    final, count = selection.final, problem.size
+    at, sizes = count, list[FloatArray]()
+    chosen = {cause.name for cause in common}
+    for candidate in final.added:
+        if candidate.name in chosen:
+            sizes.append(final.z[at : at + candidate.variables])
+            problem = cast("_Pair", candidate.added_to(problem))
+        at += candidate.variables
+    added = list(range(count, problem.size))
+    start = np.insert(z, count, np.concatenate([*sizes, np.zeros(len(added))]))
+    return *_fitted(problem.with_differences(added), start, noise), [problem.priors.names[k] for k in added]
+
+
+def _differences(
+    selection: Selection, noise: Noise, units: Units, rng: np.random.Generator, lacking: Sequence[str]
 ) -> tuple[UnitDifference, ...]:
-    """Return what differs, the most telling first, then what does not, then what cannot be told."""
-    found, at = [], variables
+    """Return what differs, what closes most first; then what both lack, what does not differ, and what is open."""
+    final = selection.final
+    problem, z = cast("_Pair", final.problem), final.z
+    moved = scatter(Base.of(problem, z), noise, units, rng)
     values = problem.parameters(z)
-    for one, rivals in chosen:
-        if one.variable is not None:
-            name, parameter = _named(problem, one.variable)
-            change = _estimate(problem, z, at, _unit(problem, one.variable, data))
-            value = float(values[problem.priors.free[one.variable]])
-            found.append(
-                UnitDifference(name, parameter, value, value + change.value, change, "differs", rivals)
-            )
-        elif one.candidate is not None and not one.common:
-            for variable in range(at, at + one.added):
-                name, parameter = _named(problem, variable)
-                size = _estimate(problem, z, variable, _unit(problem, variable, data))
-                there = (0.0, size.value) if one.candidate.unit == SECOND else (size.value, 0.0)
-                if one.candidate.unit == FIRST:
+    differing, taken = list[UnitDifference](), set[str]()
+    for cause in selection.chosen:
+        candidate, rivals = cause.candidate, _rivals(problem, cause)
+        if isinstance(candidate, _Differs):
+            taken.add(candidate.variable)
+            variable = problem.priors.names.index(candidate.variable)
+            change = _change(problem, z, moved, candidate.variable)
+            value = float(values[problem.priors.free[variable]])
+            sizes = value, value + change.value
+            differing.append(UnitDifference(*_named(problem, variable), *sizes, change, "differs", rivals))
+        elif isinstance(candidate, _InUnit):
+            before = selection.reference.base.problem.size
+            at = before + sum(other.variables for other in final.added[: final.added.index(candidate)])
+            for variable in range(at, at + candidate.variables):
+                size = _estimate(problem, z, moved, variable)
+                sizes = (0.0, size.value) if candidate.unit == SECOND else (size.value, 0.0)
+                if candidate.unit == FIRST:
                     size = ResampledNumber(-size.value, -size.high, -size.low, size.unit)
-                found.append(UnitDifference(name, parameter, *there, size, "differs", rivals))
-        at += one.added
-    taken = {one.variable for one, _ in chosen}
+                differing.append(UnitDifference(*_named(problem, variable), *sizes, size, "differs", rivals))
     others = []
-    for variable in shared:
-        if variable in taken:
+    for variable in _variables(problem):
+        name = problem.priors.names[variable]
+        if name in taken:
             continue
-        freed = problem.differing(variable)
-        moved = minimise(freed, np.insert(z, problem.size, 0.0), tolerance=1e-4, evaluations=20)
-        change = _estimate(freed, moved, freed.size - 1, _unit(problem, variable, data))
+        released = problem.differing(name)
+        end = minimise(released, z, tolerance=criteria.FIT_TOLERANCE, evaluations=criteria.FIT_EVALUATIONS)
+        change = _change(released, end, scatter(Base.of(released, end), noise, units, rng), name)
         value = float(values[problem.priors.free[variable]])
-        narrow = 0.5 * (change.high - change.low) <= _KNOWN_NOT_TO_DIFFER * abs(value)
-        known = narrow and change.low <= 0.0 <= change.high
-        verdict = "both lack" if variable >= variables else "same" if known else "open"
+        known = max(abs(change.low), abs(change.high)) <= _KNOWN_NOT_TO_DIFFER * abs(value)
+        verdict = "both lack" if name in lacking else "same" if known else "open"
         others.append(
             UnitDifference(*_named(problem, variable), value, value + change.value, change, verdict)
         )
     order = ("both lack", "same", "open")
-    return (*found, *sorted(others, key=lambda one: order.index(one.verdict)))
+    return (*differing, *sorted(others, key=lambda difference: order.index(difference.verdict)))
 
 
-def _unit(problem: Problem, variable: int, data: Dataset) -> str:
-    place = int(problem.priors.free[variable])
-    if place < len(problem.model.parameters):
-        return problem.model.parameters[place].unit
+def _rivals(problem: _Pair, cause: Chosen) -> tuple[str, ...]:
+    """Return the names of the rivals of a cause, without richer forms of the effect whose size differs."""
+    variable = getattr(cause.candidate, "variable", "")
+    name = _named(problem, problem.priors.names.index(variable))[0] if variable else cause.name
+
+    def is_richer(rival: Candidate) -> bool:
+        attached = rival.attached
+        return attached is not None and attached.site == name.site and name.effect in attached.effect.contains
+
+    rivals = [entry.candidates[-1] for entry in cause.rivals]
+    return tuple(str(rival.name) for rival in rivals if not is_richer(rival))
+
+
+def _change(problem: _Pair, z: FloatArray, moved: FloatArray, name: str) -> ResampledNumber:
+    """Return the difference of a variable between the units."""
+    variable = problem.priors.names.index(name)
+    unit = _unit(problem, variable)
+    return _estimate(problem, z, moved, problem.priors.names.index(_difference_of(name)), unit)
+
+
+def _estimate(
+    problem: _Pair, z: FloatArray, moved: FloatArray, variable: int, unit: str | None = None
+) -> ResampledNumber:
+    """Return a variable with its 95 % interval, given how it moves from experiment to experiment, (draws, size)."""
+    scale = float(problem.priors.scale[variable])
+    value = float(z[variable]) * scale
+    low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
+    unit = _unit(problem, variable) if unit is None else unit
+    return ResampledNumber(value, value + min(float(low), 0.0), value + max(float(high), 0.0), unit)
+
+
+def _unit(problem: Problem, variable: int) -> str:
+    index = int(problem.priors.free[variable])
+    if index < len(problem.model.parameters):
+        return problem.model.parameters[index].unit
     number, _, parameter = problem.priors.names[variable].partition(".")
-    return effect_units(problem.effects[int(number)], problem.model, data)[parameter]
+    return effect_units(problem.effects[int(number)], problem.model, problem.data)[parameter]
 
 
-def _all_differing(
-    problem: UnitPair, z: FloatArray, shared: Sequence[int], chosen: Sequence[tuple[_Try, tuple[str, ...]]]
-) -> float:
-    """Return the sum of squares that is left where everything the units share may differ."""
-    free, taken = problem, {one.variable for one, _ in chosen}
-    for variable in shared:
-        if variable not in taken:
-            free = free.differing(variable)
-    start = np.insert(z, problem.size, np.zeros(free.size - problem.size))
-    return free.squares(minimise(free, start, tolerance=1e-4, evaluations=30))
+def _share(selection: Selection) -> float | None:
+    """Return the part of what all differences could remove that the chosen ones remove; None without any."""
+    if not selection.chosen:
+        return None
+    final, before = selection.final, selection.reference.base
+    problem = cast("_Pair", final.problem)
+    common = before.problem.with_noise(problem.noise)
+    whole = common.squares(refit(common, before.z))
+    everything = problem
+    for variable in _variables(problem):
+        everything = everything.differing(problem.priors.names[variable])
+    removed = whole - problem.squares(final.z)
+    more = problem.squares(final.z) - everything.squares(refit(everything, final.z))
+    return float(removed / (removed + max(more, 0.0))) if removed > 0 else None
 
 
 def _remarks(data: Dataset, first: int, second: int) -> list[str]:
-    found = []
     conditions = [
         {
-            str({k: v for k, v in one.condition.items() if k != UNIT})
-            for one in data.trials
-            if one.condition[UNIT] == unit
+            str({key: value for key, value in trial.condition.items() if key != UNIT})
+            for trial in data.trials
+            if trial.condition[UNIT] == unit
         }
         for unit in (FIRST, SECOND)
     ]
+    remarks = []
     if not conditions[0] & conditions[1]:
-        found.append(
+        remarks.append(
             "the two have no condition in common: what the model lacks may look like a difference between them"
         )
     if min(first, second) < criteria.FEWEST_UNIT_PIECES:
-        found.append(
-            f"{first} and {second} trials: intervals rest on blocks of them, and know little of how trials differ"
+        remarks.append(
+            f"{first} and {second} trials: intervals rest on blocks of them, and do not show how trials differ"
         )
-    return found
+    return remarks

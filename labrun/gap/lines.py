@@ -93,7 +93,7 @@ def _missing(problem: Problem, z: FloatArray, candidate: Candidate) -> _Missing 
     if courses is None:
         return None
     (limits,) = [(one.lower, one.upper) for one in attached.effect.parameters if one.name == "periods"]
-    place = next(i for i, one in enumerate(problem.model.sites) if one.name == candidate.name.site)
+    place = [site.name for site in problem.model.sites].index(attached.site)
     at = np.concatenate([course[:, place, 0] for course, _ in courses])
     outputs = np.concatenate([shown for _, shown in courses])
     residuals, trials = mean_residuals(problem, z), problem.data.trials

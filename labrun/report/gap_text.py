@@ -234,8 +234,8 @@ def units_text(found: UnitComparison) -> str:
     doubtful = [one for one in found.differences if one.verdict == "open" and not _untold(one)]
     if any(not one.change.low <= 0.0 <= one.change.high for one in doubtful):
         lines.append(
-            "note: an interval without zero is no difference yet: that has to stand beside everything that was tried, "
-            "and to hold on trials it did not see"
+            "note: an interval without zero is not enough: a difference also has to improve predictions of conditions "
+            "that the fit has not seen"
         )
     return "\n".join([*lines, *(f"note: {one}" for one in found.notes)])
 

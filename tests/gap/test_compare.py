@@ -61,6 +61,7 @@ def test_friction_that_one_unit_alone_has_is_named_with_its_unit(plain):
     }
     assert found.differing[0].first == 0.0
     assert found.differing[0].second == pytest.approx(1.5e-3, rel=0.1)
+    assert found.differing[0].change.low < 1.5e-3 < found.differing[0].change.high
 
 
 @pytest.mark.slow
@@ -71,6 +72,14 @@ def test_the_size_of_an_effect_that_the_model_carries_is_compared():
     (only,) = found.differing
     assert (only.name.effect, only.parameter) == ("coulomb-friction", "torque")
     assert only.second / only.first == pytest.approx(1.4, rel=0.1)
+
+
+@pytest.mark.slow
+def test_friction_that_both_units_have_and_the_model_lacks_is_compared():
+    found = compared(unit(1, extra=friction(1e-3)), unit(2, extra=friction(1.5e-3)))
+    (only,) = found.differing
+    assert (only.name.effect, only.parameter) == ("coulomb-friction", "torque")
+    assert only.second / only.first == pytest.approx(1.5, rel=0.1)
 
 
 def test_two_recordings_of_one_unit_do_not_differ(plain):
