@@ -11,10 +11,10 @@ from labrun.app.kept import FOLDER, as_texts, keep, kept_folder
 from labrun.app.progress_log import logged, progress_file
 from labrun.app.question import ask
 from labrun.fit import Dataset, Note, silent
-from labrun.gap import Options, RobotDiagnosis, diagnose_robot, require_new, why_not
+from labrun.gap import FileCheck, Options, RobotDiagnosis, check_file, diagnose_robot, require_new, why_not
 from labrun.gap import save_model as write_model
 from labrun.models import Robot, read_robot, with_grip_held
-from labrun.report import robot_lines
+from labrun.report import file_check_lines, robot_lines
 from labrun.store import find_data, require_writable
 from labrun.workers import cores
 
@@ -31,6 +31,7 @@ class StoredRobotDiagnosis:
     figure: Path | None = None
     model: Path | None = None
     warning: str = ""
+    check: FileCheck | None = None
 
     @property
     def was_interrupted(self) -> bool:
@@ -42,12 +43,14 @@ class StoredRobotDiagnosis:
         files = {"report": self.page or self.numbers}
         if self.model is not None:
             files["saved"] = self.model
-        return robot_lines(self.diagnosis, files)
+        check = [] if self.check is None else file_check_lines(self.check)
+        return [*robot_lines(self.diagnosis, files), *check]
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap diagnose --json`` prints."""
         files = as_texts(stored=self.numbers, report=self.page, figure=self.figure, saved_model=self.model)
-        return {**self.diagnosis.to_json(), **files}
+        check = {} if self.check is None else {"file_check": self.check.to_json()}
+        return {**self.diagnosis.to_json(), **check, **files}
 
 
 def joint_by_joint(target: str | Path, results: str | Path = "results") -> str | None:
@@ -122,17 +125,21 @@ def diagnose_joints(
     with logged(note, progress_file(where)) as both:
         found = diagnose_robot(robot, question.model, question.dataset, options, note=both)
     found = replace(found, source=str(folder), remarks=(*robot.remarks, *found.remarks))
+    numbers, check = found.to_json(), None
+    if save_model is not None:
+        check = check_file(robot, question.model, question.dataset, numbers, note=note)
+        numbers["file_check"] = check.to_json()
     note("writing the report" if page else "storing the diagnosis")
 
     def drawn() -> tuple[str, Any]:
         # matplotlib
         from labrun.report import robot_figure, robot_page
 
-        return robot_page(found), robot_figure(found)
+        return robot_page(found, check), robot_figure(found)
 
-    kept = keep(where, found.to_json(), question.model.source, drawn if page else None)
-    stored = StoredRobotDiagnosis(found, *kept)
-    if save_model is None:
+    kept = keep(where, numbers, question.model.source, drawn if page else None)
+    stored = StoredRobotDiagnosis(found, *kept, check=check)
+    if save_model is None or check is None:
         return stored
-    write_model(found.to_json(), question.model.source, save_model)
+    write_model({**numbers, **check.model.to_json()}, question.model.source, save_model)
     return replace(stored, model=save_model)

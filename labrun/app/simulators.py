@@ -13,9 +13,10 @@ from labrun.app.kept import NUMBERS, read_stored
 from labrun.errors import RequestError
 from labrun.estimate import Estimate
 from labrun.fit import Note, load_dataset, silent
-from labrun.gap import parameter_ranges, require_new
+from labrun.gap import FileCheck, check_file, parameter_ranges, require_new
 from labrun.gap import save_model as write_model
 from labrun.models import Exported, MjcfRange, load_model, mjcf_of, mjcf_ranges
+from labrun.report import file_check_lines
 from labrun.store import find_data, is_recording, recording_name, replace_durably, saving
 
 _ISAAC = {
@@ -54,17 +55,22 @@ class ExportedRobot:
         What of the correction is in it, and what is not.
     ranges
         The file of ranges; None if it was not asked for.
+    check
+        What the file is worth on pieces of the log that its fit has not seen; None of a model alone, and of a body
+        that was not diagnosed joint by joint.
     """
 
     file: Path
     exported: Exported
     ranges: Path | None = None
+    check: FileCheck | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields by name."""
         return {
             "mjcf": str(self.file), "written": list(self.exported.written), "left_out": list(self.exported.left),
             "ranges": None if self.ranges is None else str(self.ranges),
+            "file_check": None if self.check is None else self.check.to_json(),
         }  # fmt: skip
 
     def to_text(self) -> str:
@@ -72,6 +78,8 @@ class ExportedRobot:
         lines = [f"wrote {self.file}", *(f"  {one}" for one in self.exported.written)]
         if self.exported.left:
             lines += ["not in it:", *(f"  {one}" for one in self.exported.left)]
+        if self.check is not None:
+            lines += file_check_lines(self.check)
         return "\n".join([*lines, *([f"wrote {self.ranges}"] if self.ranges is not None else [])])
 
 
@@ -118,6 +126,9 @@ def export_robot(
     source = stored.get("model_source")
     if not isinstance(source, str):
         raise RequestError("the diagnosis does not say where its model is", hint="diagnose it again")
+    check = _checked(stored, source, note)
+    if check is not None:
+        stored = {**stored, **check.file.to_json()}
     with tempfile.TemporaryDirectory() as folder:
         corrected = Path(folder) / "corrected.toml"
         write_model(stored, source, corrected)
@@ -130,7 +141,18 @@ def export_robot(
     _write(file, exported.xml)
     if ranges is not None:
         _write(ranges, json.dumps(_ranges(found, stored), indent=2) + "\n")
-    return ExportedRobot(file, exported, ranges)
+    return ExportedRobot(file, exported, ranges, check)
+
+
+def _checked(stored: Mapping[str, Any], source: str, note: Note) -> FileCheck | None:
+    """Return what a corrected robot is worth on data that its fit has not seen, as stored where it was saved."""
+    if "joints" not in stored:
+        return None
+    if "file_check" in stored:
+        return FileCheck.from_json(stored["file_check"])
+    model, recording = load_model(source), Path(source).parent
+    dataset = load_dataset(recording, model)
+    return check_file(robot_of(recording, dataset), model, dataset, stored, note=note)
 
 
 def _write(file: Path, text: str) -> None:

@@ -21,15 +21,26 @@ from labrun.gap.diagnosis import (
 )
 from labrun.gap.fresh import FreshTest, Prediction, predict_fresh
 from labrun.gap.recalibration import fresh_excess
-from labrun.gap.robot import JointDiagnosis, RobotDiagnosis, diagnose_robot, parameter_ranges, why_not
+from labrun.gap.robot import (
+    CheckedJoint,
+    FileCheck,
+    JointDiagnosis,
+    RobotDiagnosis,
+    check_file,
+    diagnose_robot,
+    parameter_ranges,
+    why_not,
+)
 from labrun.gap.saving import effects_of, recalibrated_only, require_new, save_model, save_with_law
 
 __all__ = [
     "By",
     "CandidateVerdict",
     "Cause",
+    "CheckedJoint",
     "ComparedTrace",
     "Diagnosis",
+    "FileCheck",
     "FreshTest",
     "JointDiagnosis",
     "MissingForce",
@@ -47,6 +58,7 @@ __all__ = [
     "UnitComparison",
     "UnitDifference",
     "Verdict",
+    "check_file",
     "compare_units",
     "diagnose_dataset",
     "diagnose_robot",

@@ -154,3 +154,14 @@ EXPLAINED_BY_OTHERS = 0.5
 """Part of a joint's gap that may be left where the base, a load or another joint's link explains it."""
 LINKS_ASKED = 3
 """Most probable joints whose links may not be where their encoders say that are compared."""
+
+# --- Corrected files ---
+
+FILE_FOLDS = 3
+"""Parts of a log, each of which is withheld once from the fit of what a corrected file holds."""
+FEWEST_PIECES = 6
+"""Pieces that a log of fewer trials is cut into before parts of it are withheld."""
+FREE_PIECE_S = 0.5
+"""Length of pieces where a joint is driven by a torque: longer ones drift from the log whatever the model."""
+PIECE_SAMPLES = 50
+"""Samples that a piece has at least."""

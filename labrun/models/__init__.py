@@ -15,6 +15,7 @@ from labrun.models.mjcf.inverse import Carried, RobotTerms, TipLoad, carried, ro
 from labrun.models.mjcf.regressor import InertialRegressor, LinkMotion
 from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, read_robot
 from labrun.models.mjcf.robot_table import robot_table
+from labrun.models.mjcf.running import Motion, run_mjcf
 from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter, natives
 from labrun.models.observer import measured_name, observed
 from labrun.models.simulation import (
@@ -32,10 +33,10 @@ from labrun.models.simulation import (
 __all__ = [
     "Between", "Carried", "ClosedChain", "Condition", "Drive", "Exported", "FloatArray", "InertialRegressor", "Input",
     "LinkMotion", "MjcfRange",
-    "Model", "NativeFunction", "Origin", "Output", "Parameter", "Pointer", "Robot", "RobotActuator",
+    "Model", "Motion", "NativeFunction", "Origin", "Output", "Parameter", "Pointer", "Robot", "RobotActuator",
     "RobotJoint", "RobotTerms", "Simulation", "Site", "SiteKind", "Stepper", "TipLoad", "Unfiltered", "carried",
     "corrected_model_text", "filtered", "identifier", "is_robot", "kernel", "load_model", "measured_name",
     "mjcf_of", "mjcf_ranges", "native", "natives", "observed", "parse_model", "prepare", "python_model", "read_robot",
-    "robot_table", "robot_terms", "shipped_models", "simulate", "simulate_unfiltered", "site_course",
+    "robot_table", "robot_terms", "run_mjcf", "shipped_models", "simulate", "simulate_unfiltered", "site_course",
     "suggest_substeps", "with_grip_held",
 ]  # fmt: skip

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from labrun.report.figures.gap import diagnosis_figure
     from labrun.report.gap_page import diagnosis_page
     from labrun.report.gap_text import compared_text, fresh_text, gap_lines, trial_plan_text, units_text
-    from labrun.report.robot import robot_figure, robot_lines, robot_page
+    from labrun.report.robot import file_check_lines, robot_figure, robot_lines, robot_page
     from labrun.report.run_page import report_page
     from labrun.report.style import as_svg, save_figure
 
@@ -43,7 +43,7 @@ _LATER = {
     "figures.gap": ("diagnosis_figure",),
     "gap_page": ("diagnosis_page",),
     "gap_text": ("compared_text", "fresh_text", "gap_lines", "trial_plan_text", "units_text"),
-    "robot": ("robot_figure", "robot_lines", "robot_page"),
+    "robot": ("file_check_lines", "robot_figure", "robot_lines", "robot_page"),
     "run_page": ("report_page",),
     "style": ("as_svg", "save_figure"),
 }
@@ -51,13 +51,55 @@ _LATER = {
 
 __all__ = [
     "DRIFT_SUFFIX",
-    "Drift", "Findings", "LiveProgress", "PlainProgress", "RunView", "Snapshot", "State", "StoredFit", "StoredGap",
-    "aligned", "as_svg", "candidate_points", "check_text", "compared_text", "comparison_figure", "comparison_json",
-    "comparison_text", "counted", "diagnosis_figure", "diagnosis_page", "draw_design", "draw_figure", "drift_of",
-    "duration_text", "event_text", "experiment_of", "fit_figure", "fresh_text", "gap_lines", "interval_text",
-    "keys_text", "plan_text", "print_findings", "ranking_text", "remark_text", "render", "report_page",
-    "robot_figure", "robot_lines", "robot_page", "run_figure", "save_figure", "short_time_text", "trial_plan_text",
-    "units_text", "watch", "without_drift", "write_check_page",
+    "Drift",
+    "Findings",
+    "LiveProgress",
+    "PlainProgress",
+    "RunView",
+    "Snapshot",
+    "State",
+    "StoredFit",
+    "StoredGap",
+    "aligned",
+    "as_svg",
+    "candidate_points",
+    "check_text",
+    "compared_text",
+    "comparison_figure",
+    "comparison_json",
+    "comparison_text",
+    "counted",
+    "diagnosis_figure",
+    "diagnosis_page",
+    "draw_design",
+    "draw_figure",
+    "drift_of",
+    "duration_text",
+    "event_text",
+    "experiment_of",
+    "file_check_lines",
+    "fit_figure",
+    "fresh_text",
+    "gap_lines",
+    "interval_text",
+    "keys_text",
+    "plan_text",
+    "print_findings",
+    "ranking_text",
+    "remark_text",
+    "render",
+    "report_page",
+    "robot_figure",
+    "robot_lines",
+    "robot_page",
+    "run_figure",
+    "save_figure",
+    "short_time_text",
+    "trial_plan_text",
+    "units_text",
+    "watch",
+    "without_drift",
+    "write_check_page",
 ]  # fmt: skip
 
 

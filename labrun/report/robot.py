@@ -7,7 +7,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from labrun.gap import Cause, JointDiagnosis, RobotDiagnosis
+from labrun.gap import Cause, FileCheck, JointDiagnosis, RobotDiagnosis
 from labrun.report.figures.gap_traces import traces_figure
 from labrun.report.gap_page import parameter_table
 from labrun.report.gap_words import HEADLINES, ranked, status_words, times_noise, value_words
@@ -94,6 +94,30 @@ def robot_lines(found: RobotDiagnosis, files: Mapping[str, Path] | None = None) 
     return [*lines, *(f"{label}  {path}" for label, path in (files or {}).items())]
 
 
+_CHECK_HEADS = ("joint", "stated", "corrected", "exported", "in the model", "in the file")
+
+
+def _check_rows(check: FileCheck) -> list[list[str]]:
+    return [
+        [
+            joint.joint,
+            *(
+                f"{number(value, 2)} {joint.unit}"
+                for value in (joint.stated, joint.corrected, joint.exported)
+            ),
+            joint.corrected_as,
+            joint.exported_as,
+        ]
+        for joint in check.joints
+    ]
+
+
+def file_check_lines(check: FileCheck) -> list[str]:
+    """Return a line a joint: errors of the stated, corrected and exported robot on data that the fit has not seen."""
+    heading = f"on {check.pieces} pieces of the log, each simulated by a fit that has not seen it:"
+    return ["", heading, *aligned([list(_CHECK_HEADS), *_check_rows(check)])]
+
+
 _SHOWN = 12
 _COLUMNS = (
     "joint", "cause", "confidence", "gap recalibrated", "gap with cause", "whole robot: stated", "recalibrated",
@@ -101,7 +125,7 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def robot_page(found: RobotDiagnosis) -> str:
+def robot_page(found: RobotDiagnosis, check: FileCheck | None = None) -> str:
     """Return the page; the same diagnosis gives the same text, byte for byte."""
     rows = joint_rows(found)
     marked = [place for place, one in enumerate(found.joints) if one.diagnosis.causes or one.moved]
@@ -118,6 +142,7 @@ def robot_page(found: RobotDiagnosis) -> str:
             ),
             "joints": PageTable(_COLUMNS, rows, words=(0, 1), marked=marked),
             "sections": sections,
+            "check": None if check is None else PageTable(_CHECK_HEADS, _check_rows(check), words=(0, 4, 5)),
         },
     )
 

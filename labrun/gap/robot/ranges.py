@@ -50,7 +50,7 @@ def parameter_ranges(
     }
     answers = {one["joint"]: one["diagnosis"] for one in diagnosis["joints"]}
     found: dict[str, Estimate] = {}
-    around = _as_found(prescribed(robot, corrected, dataset), diagnosis, answers)
+    around = as_diagnosed(prescribed(robot, corrected, dataset), diagnosis, answers)
     for place, joint in enumerate(robot.joints):
         one = one_joint(around, place)
         carried = {each.name: masses[each.name][1] for each in one.model.parameters if each.name in masses}
@@ -77,7 +77,7 @@ def parameter_ranges(
     return found
 
 
-def _as_found(
+def as_diagnosed(
     known: Prescribed, diagnosis: Mapping[str, Any], answers: Mapping[str, Mapping[str, Any]]
 ) -> Prescribed:
     """Return what is prescribed with the clock, the base, the load and the links as the diagnosis has them."""

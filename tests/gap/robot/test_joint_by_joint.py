@@ -20,7 +20,7 @@ from labrun.gap.robot.diagnose import _announced, _explained_by_load, _looked, _
 from labrun.gap.robot.diagnosis import JointDiagnosis, RobotDiagnosis
 from labrun.gap.robot.links import beside_encoders, links_that_explain
 from labrun.gap.robot.one_joint import Prescribed, one_joint, prescribed
-from labrun.gap.robot.ranges import _as_found
+from labrun.gap.robot.ranges import as_diagnosed
 from labrun.gap.robot.together import _into_damping
 from labrun.models import load_model, parse_model, read_robot, robot_table, simulate
 from labrun.store import SignalInfo
@@ -438,7 +438,7 @@ def test_ranges_are_fitted_with_the_base_the_load_and_the_clock_that_were_found(
         ],
     )
     answers = {one["joint"]: one["diagnosis"] for one in told["joints"]}
-    around = _as_found(found, told, answers)
+    around = as_diagnosed(found, told, answers)
     assert around.lead_s == -0.01
     wanted = found.with_load_at(found.tip.torque(at)).on_base(0.1, -0.2).loaded(0.3).around
     np.testing.assert_allclose(np.concatenate(around.around), np.concatenate(wanted), atol=1e-5)
