@@ -14,6 +14,8 @@ from labrun.gap.saving import require_new, save_model
 from labrun.models import load_model
 from labrun.spec import load_named
 
+from .benches import among
+
 SMALL = (
     "run.conditions=[{release=15},{release=45}]",
     "trial.repeats=2",
@@ -31,7 +33,7 @@ def dry_run(folder, hide, *more):
 def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
     run = dry_run(folder, ["coulomb-friction@hinge:torque=3e-4"])
-    diagnosis = diagnose(run, options=QUICK)
+    diagnosis = diagnose(run, options=replace(among("coulomb-friction", "lag"), workers=2))
     model = folder / "corrected.toml"
     save_model(diagnosis.to_json(), "hinge-pendulum", model)
     return folder, run, diagnosis, model

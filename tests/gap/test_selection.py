@@ -16,6 +16,8 @@ from .benches import CONDITIONS, among, dry_friction, pendulum, recorded
 
 FEW = among("coulomb-friction", "stribeck-friction", "quadratic-drag", "lag")
 
+THREE = among("coulomb-friction", "quadratic-drag", "lag")
+
 
 def causes(diagnosis: Diagnosis) -> set[str]:
     return {str(cause.name) for cause in diagnosis.causes}
@@ -35,7 +37,7 @@ def friction_and_more() -> Diagnosis:
     data = recorded(
         lambda t, q, v: rub(t, q, v) + 0.004 * float(np.sin(9.0 * q)), conditions=CONDITIONS[:4], repeats=2
     )
-    return diagnose_dataset(data, pendulum(), FEW)
+    return diagnose_dataset(data, pendulum(), THREE)
 
 
 # --- one cause, none, two -----------------------------------------------------------------------------------------
@@ -76,7 +78,7 @@ def test_dry_friction_and_drag_that_help_only_together_are_both_named() -> None:
             extra=lambda _, rate: -6e-4 * float(np.tanh(rate / 0.02)) - 1.2e-5 * abs(rate) * rate,
         )
         swings.append((time_s, angle + 5e-4 * rng.standard_normal(len(angle))))
-    found = diagnose_dataset(dataset_of(swings), parse_model(MODEL, "hinge.toml"), FEW)
+    found = diagnose_dataset(dataset_of(swings), parse_model(MODEL, "hinge.toml"), THREE)
     assert causes(found) == {"coulomb-friction at hinge", "quadratic-drag at hinge"}
     sizes: Mapping[str, float] = {
         cause.name.effect: next(iter(cause.values.values())).value for cause in found.causes
