@@ -106,7 +106,9 @@ def test_the_error_is_in_the_unit_of_the_output_over_all_samples() -> None:
     assert result.rmse["position"] == pytest.approx(float(np.sqrt(np.mean(stacked**2))))
 
 
-@pytest.mark.parametrize(("scatter", "noise"), [(0.0, 0.01), (0.03, 0.003)])
+@pytest.mark.parametrize(
+    ("scatter", "noise"), [pytest.param(0.0, 0.01, marks=pytest.mark.slow), (0.03, 0.003)]
+)
 def test_intervals_hold_the_truth_about_95_times_in_100(scatter: float, noise: float) -> None:
     rng = np.random.default_rng(7)
     model = oscillator()

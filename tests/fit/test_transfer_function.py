@@ -52,6 +52,7 @@ def test_poles_and_dead_time_come_back(speed, damping, seed):
     assert fit.transfer.frequency_response(omega) == pytest.approx(truth.frequency_response(omega), rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_interval_of_the_gain_holds_the_truth_about_as_often_as_it_says():
     truth = TransferFunction((1.5,), (0.04, 0.2, 1.0))
     held = 0
