@@ -2,6 +2,6 @@
 
 from labrun.gap.where.difference import Difference
 from labrun.gap.where.forces import missing_forces
-from labrun.gap.where.places import describe, find_places
+from labrun.gap.where.places import find_places
 
-__all__ = ["Difference", "describe", "find_places", "missing_forces"]
+__all__ = ["Difference", "find_places", "missing_forces"]

@@ -15,8 +15,6 @@ from labrun.toml import UNITS, split_unit
 
 _FEW_SAMPLES = 8
 """Trials of fewer samples are taken for single measurements."""
-_MOST_NAMED = 3
-"""Conditions that are named one by one where they have a value in common."""
 _MOST_CUT = 12
 """Conditions beyond which a part is not looked at in each of them apart."""
 _NEAR_END = 0.85
@@ -65,44 +63,9 @@ def located(condition: Condition) -> str:
     return f"at {join(numbers)}" + (f" ({', '.join(words)})" if words else "")
 
 
-def threshold_text(key: str, value: float, *, above: bool) -> str:
-    """Return "from 0.3 Hz on", "below 0.3 Hz"."""
-    what, unit = key_parts(key)
-    lead = "" if unit == "Hz" and what in _FREQUENCIES else f"{what} "
-    number = value_text(value, unit)
-    return f"from {lead}{number} on" if above else f"below {lead}{number}"
-
-
 def join(words: Sequence[str]) -> str:
     """Return "a, b and c"."""
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
-
-
-def joined_conditions(labels: Sequence[str]) -> str:
-    """Return "at 0.3 and 0.4 Hz" for the labels "frequency_hz = 0.3" and "frequency_hz = 0.4".
-
-    Conditions of several keys are told by the one key that differs between all of them, if there is one.
-    """
-    pairs = [
-        dict(part.partition(" = ")[::2] for part in label.split(", ") if " = " in part) for label in labels
-    ]
-    keys = [key for key in (pairs[0] if pairs else ()) if all(key in pair for pair in pairs)]
-    telling = [key for key in keys if len({pair[key] for pair in pairs}) == len(pairs)]
-    if not telling:
-        return f"at {join([f'({label})' if ', ' in label else label for label in labels])}"
-    what, unit = key_parts(telling[0])
-    values = sorted((pair[telling[0]] for pair in pairs), key=_number)
-    lead = "" if unit == "Hz" and what in _FREQUENCIES else f"{what} "
-    alike = [key for key in keys if key != telling[0] and len({pair[key] for pair in pairs}) == 1]
-    also = [f"{key_parts(key)[0]} {pairs[0][key]} {key_parts(key)[1]}".strip() for key in alike]
-    return f"at {lead}{join(values)} {unit}".rstrip() + (f" ({', '.join(also)})" if also else "")
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return 0.0
 
 
 BoolArray = NDArray[np.bool_]
@@ -180,47 +143,29 @@ class ConditionSet:
     single: bool
 
 
-def condition_sets(
-    difference: Difference, pieces: Sequence[ConditionData], *, ranges: bool
-) -> list[ConditionSet]:
-    """Return every condition, every value of every condition key, and with `ranges` all values from one on.
+def condition_sets(difference: Difference, pieces: Sequence[ConditionData]) -> list[ConditionSet]:
+    """Return every condition, and every value of every condition key.
 
     Sets that are all of the data, or that come twice, are left out.
     """
     whole = [piece.trial.condition for piece in pieces]
     names = varying(whole)
     conditions = [only(condition, names) for condition in whole]
-    found: dict[tuple[bool, ...], ConditionSet] = {}
+    sets: dict[tuple[bool, ...], ConditionSet] = {}
 
     def add(at: str, text: str, chosen: tuple[bool, ...], single: bool = False) -> None:
         if any(chosen) and not all(chosen):
-            found.setdefault(chosen, ConditionSet(at, text, chosen, single))
+            sets.setdefault(chosen, ConditionSet(at, text, chosen, single))
 
     for group, label in enumerate(difference.units.conditions):
         chosen = tuple(piece.group == group for piece in pieces)
         if any(chosen):
             add(label, located(conditions[chosen.index(True)]) or label, chosen, True)
-    values = {
-        key: list(dict.fromkeys(one[key] for one in conditions if key in one)) for key in _keys(conditions)
-    }
-    for key, several in values.items():
-        for value in several:
-            chosen = tuple(one.get(key) == value for one in conditions)
-            labels = [
-                difference.units.conditions[piece.group]
-                for piece, yes in zip(pieces, chosen, strict=True)
-                if yes
-            ]
-            named = isinstance(value, str) and 1 < len(labels) <= _MOST_NAMED
-            text = joined_conditions(labels) if named else located({key: value})
-            add(condition_text({key: value}), text, chosen)
-    for key, several in values.items() if ranges else ():
-        numbers = sorted(value for value in several if not isinstance(value, str))
-        for low in numbers[1:] if len(numbers) == len(several) > 2 else ():
-            reached = tuple(key in one and float(one[key]) >= low for one in conditions)
-            add(f"{key} >= {low:g}", threshold_text(key, low, above=True), reached)
-            add(f"{key} < {low:g}", threshold_text(key, low, above=False), tuple(not one for one in reached))
-    return list(found.values())
+    for key in _keys(conditions):
+        for value in dict.fromkeys(condition[key] for condition in conditions if key in condition):
+            chosen = tuple(condition.get(key) == value for condition in conditions)
+            add(condition_text({key: value}), located({key: value}), chosen)
+    return list(sets.values())
 
 
 def _keys(conditions: Sequence[Mapping[str, float | str]]) -> list[str]:
@@ -230,7 +175,7 @@ def _keys(conditions: Sequence[Mapping[str, float | str]]) -> list[str]:
 def condition_parts(difference: Difference, layout: SampleLayout) -> list[Part]:
     """Return the conditions; where trials are single samples, also each channel in each of them."""
     few = bool(np.median([piece.length for piece in layout.pieces]) <= _FEW_SAMPLES)
-    sets = condition_sets(difference, layout.pieces, ranges=few)
+    sets = condition_sets(difference, layout.pieces)
     parts = [Part("condition", one.at, one.text, layout.whole(one.chosen)) for one in sets]
     if few and layout.channels > 1:
         for column, output in enumerate(difference.model.outputs):
@@ -248,7 +193,7 @@ def condition_parts(difference: Difference, layout: SampleLayout) -> list[Part]:
 
 def in_each_condition(difference: Difference, layout: SampleLayout, parts: Sequence[Part]) -> list[Part]:
     """Return parts of the time view cut by condition; none where there are too many conditions for that, or one."""
-    singles = [one for one in condition_sets(difference, layout.pieces, ranges=False) if one.single]
+    singles = [one for one in condition_sets(difference, layout.pieces) if one.single]
     if not 2 <= len(singles) <= _MOST_CUT:
         return []
     return [

@@ -40,24 +40,14 @@ _HARMONICS = 3
 
 @dataclass(frozen=True)
 class Cycle:
-    """A period, and when a cycle begins: the signal's fundamental passes its mean there, rising.
-
-    Attributes
-    ----------
-    period_s, begin_s
-    """
+    """What repeats in a trial."""
 
     period_s: float
-    begin_s: float
 
     @property
     def frequency_hz(self) -> float:
         """One over the period."""
         return 1.0 / self.period_s
-
-    def phase(self, time_s: FloatArray) -> FloatArray:
-        """Return the part of the cycle that has passed at these times, 0 to 1."""
-        return np.asarray(np.mod((time_s - self.begin_s) / self.period_s, 1.0), dtype=float)
 
 
 def find_cycle(
@@ -83,11 +73,11 @@ def find_cycle(
             continue
         for signal in moving:
             if _explained(time_s, signal, stated) >= _STATED_PERIOD_FIT:
-                return Cycle(stated, _begin(time_s, signal, stated))
+                return Cycle(stated)
     for signal in moving:
         period = _period(time_s, signal)
         if period is not None:
-            return Cycle(period, _begin(time_s, signal, period))
+            return Cycle(period)
     return None
 
 
@@ -118,12 +108,6 @@ def _explained(time_s: FloatArray, signal: FloatArray, period: float) -> float:
     return 1.0 - float(np.var(left) / np.var(signal))
 
 
-def _begin(time_s: FloatArray, signal: FloatArray, period: float) -> float:
-    """Return when the fundamental a sin + b cos passes zero, rising."""
-    sine, cosine = _series(time_s, signal, period)[1:3]
-    return float(-np.arctan2(cosine, sine) * period / (2 * np.pi))
-
-
 def _period(time_s: FloatArray, signal: FloatArray) -> float | None:
     from scipy.optimize import minimize_scalar
 
@@ -148,9 +132,6 @@ def _period(time_s: FloatArray, signal: FloatArray) -> float | None:
     predicted = _design(even[half:], period) @ _series(even[:half], values[:half], period)
     error = float(np.mean(np.square(values[half:] - predicted)))
     return period if error <= (1 - _FOUND_PERIOD_FIT) * float(np.var(values[half:])) else None
-
-
-_QUARTERS = ("first", "second", "third", "last")
 
 
 def piece_cycles(
@@ -190,26 +171,6 @@ def stroke_parts(layout: SampleLayout, cycles: Sequence[Cycle | None], movers: S
         names = ("forward stroke", "recovery stroke")
         texts = (f"the forward stroke ({name} rises)", f"the recovery stroke ({name} falls)")
     return [Part("phase", names[0], texts[0], members), Part("phase", names[1], texts[1], ~members)]
-
-
-def quarter_parts(layout: SampleLayout, cycles: Sequence[Cycle | None]) -> list[Part]:
-    """Return the quarters of the cycle; none where trials are not periodic."""
-    if any(cycle is None for cycle in cycles):
-        return []
-    quarters = [
-        np.floor(4 * cycle.phase(piece.time_s)).astype(int) % 4
-        for cycle, piece in zip(cycles, layout.pieces, strict=True)
-        if cycle is not None
-    ]
-    return [
-        Part(
-            "phase",
-            f"{name} quarter",
-            f"the {name} quarter of the cycle",
-            layout.samples([np.asarray(one == place) for one in quarters]),
-        )
-        for place, name in enumerate(_QUARTERS)
-    ]
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,12 @@
-"""Where a recalibrated model and the measurement differ: every part weighed, and the answer in one sentence."""
+"""Where a recalibrated model and the measurement differ: the share of the gap that each part of the data holds."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.gap import criteria
-from labrun.gap.diagnosis import By, Place
+from labrun.gap.diagnosis import Place
 from labrun.gap.where.difference import Difference, Mover, input_movers, pieces, site_movers
 from labrun.gap.where.parts import (
     JOINT,
@@ -17,22 +16,11 @@ from labrun.gap.where.parts import (
     condition_parts,
     in_each_condition,
     input_parts,
-    joined_conditions,
     reversal_parts,
     site_parts,
 )
-from labrun.gap.where.periods import Spectra, band_parts, piece_cycles, quarter_parts, stroke_parts
+from labrun.gap.where.periods import Spectra, band_parts, piece_cycles, stroke_parts
 from labrun.gap.where.significance import Finding, weigh
-
-_CONDITIONS_HOLD = 0.75
-"""Conditions are named until they hold this part of what all of them hold."""
-_MAINLY = 0.6
-_NOTABLE = 0.4
-"""Share from which a half of the data, and a smaller part, is worth a sentence."""
-_SPECIAL = 1.3
-"""How many times its part of the data a condition or stroke must hold to be named."""
-_SIMPLER_TO_SAY = 1.3
-"""How much more a value of one key says than as many conditions named one by one."""
 
 Note = Callable[[str], None]
 
@@ -100,7 +88,7 @@ def _parts(difference: Difference, layout: SampleLayout, spectra: Spectra) -> li
         parts += reversal_parts(mover, layout)
     cycles = piece_cycles(difference, layout, sites, inputs)
     strokes = stroke_parts(layout, cycles, turning)
-    parts += [*strokes, *quarter_parts(layout, cycles), *in_each_condition(difference, layout, strokes)]
+    parts += [*strokes, *in_each_condition(difference, layout, strokes)]
     simulated = [piece.first(difference.simulated) for piece in layout.pieces]
     return [*parts, *band_parts(spectra, cycles, simulated, driven=bool(inputs))]
 
@@ -163,126 +151,3 @@ def _channels_that_told_their_noise(difference: Difference) -> set[str]:
     units = difference.output_units
     alone = not difference.noise.known
     return {one.name for one, unit in zip(outputs, units, strict=True) if alone and units.count(unit) == 1}
-
-
-_OTHER: tuple[By, ...] = ("phase", "reversal", "state", "frequency")
-
-
-@dataclass(frozen=True)
-class _Clause:
-    share: float
-    text: str
-    lift: float
-
-
-def describe(places: Sequence[Place], conditions: Sequence[str] = ()) -> str:
-    """Return one sentence such as "80 % of it is in the recovery stroke at 0.3 and 0.4 Hz, mostly in the torque".
-
-    Parameters
-    ----------
-    places
-        Of `find_places`, in their order.
-    conditions
-        Labels of all conditions (`Dataset.conditions`).
-    """
-    beyond = [one for one in places if one.share > 0 and (one.p is None or one.p <= criteria.STANDS_OUT)]
-    told = any(one.p is not None for one in places)
-    if not beyond or (told and all(one.p is None for one in beyond)):
-        return "No part of the data stands out from the noise."
-    clauses = [*_cut(beyond, places, conditions), *_conditions(beyond, conditions)]
-    best = max(
-        (one for one in clauses if one.lift >= _SPECIAL),
-        key=lambda one: one.share * one.lift,
-        default=None,
-    )
-    plain = next(
-        (one for one in beyond if one.by in _OTHER and _simple(one) and one.share >= _least(one)), None
-    )
-    words = []
-    if best is not None and best.share >= _NOTABLE:
-        words.append(f"{_percent(best.share)} of it is {best.text}")
-    elif plain is not None:
-        words.append(f"{_percent(plain.share)} of it is {_in(plain)}")
-    else:
-        words.append("it is spread over all conditions and phases")
-    channels = [one for one in places if one.by == "channel"]
-    top = max(channels, key=lambda one: one.share, default=None)
-    if top is not None and len(channels) > 1 and top.share >= _MAINLY and top.text not in words[0]:
-        words.append(f"mostly in {top.text}")
-    sentence = ", ".join(words)
-    return sentence[0].upper() + sentence[1:] + "."
-
-
-def _cut(beyond: Sequence[Place], places: Sequence[Place], conditions: Sequence[str]) -> list[_Clause]:
-    """Return for every part that was cut by condition the few conditions that hold most of it."""
-    found = []
-    singles = set(conditions)
-    heads = dict.fromkeys(one.at.partition(JOINT)[0] for one in places if JOINT in one.at)
-    for head in heads:
-        cells = [one for one in beyond if one.at.partition(JOINT)[::2] in {(head, name) for name in singles}]
-        text = next((one.text for one in places if one.at == head), head)
-        if cells:
-            clause = _fewest(cells, len(conditions))
-            found.append(_Clause(clause.share, f"in {text}{clause.text}", clause.lift * len(heads)))
-    for one in beyond:
-        members = _members(one.at.partition(JOINT)[2], conditions)
-        if JOINT in one.at and members > 1:
-            lift = _SIMPLER_TO_SAY * one.share * len(heads) * len(conditions) / members
-            found.append(_Clause(one.share, f"in {one.text}", lift))
-    return found
-
-
-def _members(value: str, conditions: Sequence[str]) -> int:
-    """Return how many conditions have a value such as "trajectory = sine"; 0 where it is a condition by itself."""
-    return 0 if value in conditions else sum(value in label.split(", ") for label in conditions)
-
-
-def _conditions(beyond: Sequence[Place], conditions: Sequence[str]) -> list[_Clause]:
-    """Return the few conditions that hold most, and the values of one key that do."""
-    places = [one for one in beyond if one.by == "condition" and JOINT not in one.at]
-    found = []
-    for one in places:
-        members = _members(one.at, conditions)
-        if members:
-            found.append(
-                _Clause(one.share, one.text, _SIMPLER_TO_SAY * one.share * len(conditions) / members)
-            )
-    cells = [one for one in places if one.at in conditions]
-    clause = _fewest(cells, len(conditions)) if cells else None
-    if clause is not None and clause.text:
-        found.append(_Clause(clause.share, clause.text.strip(), clause.lift))
-    return found
-
-
-def _fewest(cells: Sequence[Place], number: int) -> _Clause:
-    """Return the fewest conditions that hold most of what all these hold; no text where they are all there are."""
-    ordered = sorted(cells, key=lambda one: -one.share)
-    whole, share, chosen = sum(one.share for one in cells), 0.0, []
-    for one in ordered:
-        if share >= _CONDITIONS_HOLD * whole and one.share < 0.5 * ordered[0].share:
-            break
-        chosen.append(one)
-        share += one.share
-    names = [one.at.partition(JOINT)[2] or one.at for one in chosen]
-    words = f" {joined_conditions(names)}" if len(chosen) < number else ""
-    return _Clause(share, words, share * number / len(chosen))
-
-
-def _in(place: Place) -> str:
-    at = place.by == "frequency" or "end of the travel" in place.text or "ends of the travel" in place.text
-    return f"{'at' if at else 'in'} {place.text}"
-
-
-def _least(place: Place) -> float:
-    """Return the share from which a part is worth a sentence: more for halves of the data than for smaller parts."""
-    return (
-        _MAINLY if place.at.endswith("stroke") or place.at.startswith(("rising ", "falling ")) else _NOTABLE
-    )
-
-
-def _simple(place: Place) -> bool:
-    return JOINT not in place.at and not place.at.startswith("away ")
-
-
-def _percent(share: float) -> str:
-    return f"{100 * min(max(share, 0.0), 1.0):.0f} %"
