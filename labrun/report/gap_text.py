@@ -52,6 +52,8 @@ _LEAST_FOR_SENTENCES = 1
 _RIVALS, _LADDERS = 3, 3
 _FAR_OPEN = 100.0
 """Times its value from which the end of an interval says nothing but that the data say nothing."""
+_UNCHANGED = 0.005
+"""Change of an error, as a part of it, that rounds to 0 %."""
 _CUT = " \u2026"
 
 
@@ -188,10 +190,12 @@ def _change(ratio: ResampledNumber | None) -> str:
     """Return by how much the error fell or grew, ``-80 % [-84 %, -75 %]``; that it is open where it is."""
     if ratio is None:
         return ""
+    if max(abs(ratio.low - 1.0), abs(ratio.high - 1.0)) < _UNCHANGED:
+        return "unchanged"
     if not ratio.low < 1.0 < ratio.high:
         ends = f"[{_signed(ratio.low)}, {_signed(ratio.high)}]"
         return f"{_signed(ratio.value)} {ends}"
-    return f"no difference told ({number(ratio.low, 2)} to {number(ratio.high, 2)} times)"
+    return f"no significant change ({number(ratio.low, 2)} to {number(ratio.high, 2)} times)"
 
 
 def _signed(ratio: float) -> str:

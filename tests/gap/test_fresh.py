@@ -82,7 +82,7 @@ def test_the_model_it_came_from_is_set_beside_it_on_the_same_predictions():
     text = fresh_text(found)
     assert "2 s" in text
     assert "whole trial" in text
-    assert "no difference told" not in text.splitlines()[-2]
+    assert "no significant change" not in text.splitlines()[-2]
 
 
 def test_a_horizon_that_no_trial_reaches_is_refused_with_the_longest_there_is():

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -119,6 +119,14 @@ class Proposal:
     def _repr_html_(self) -> str:
         return as_html(self.to_text())
 
+    @property
+    def _words(self) -> dict[str, str]:
+        """What each rival is called for people."""
+        return {
+            text: text if name is None else name.words
+            for text, name in zip(self.rivals, self.names, strict=True)
+        }
+
     def to_text(self) -> str:
         """Return what a person reads."""
         lines = [self.why]
@@ -127,7 +135,7 @@ class Proposal:
                 f"{len(self.trials)} trials, {self.repeats} repeats each, about {spoken(self.time_s)}:"
             )
             lines += [f"  {trial.label}" for trial in self.trials]
-        lines += told(self.outlook)
+        lines += told(self.outlook, self._words)
         lines.append(self.conclusion)
         lines += self.advice
         lines += self.notes
@@ -154,23 +162,24 @@ def spoken(seconds: float) -> str:
     return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
 
 
-def told(outlook: Sequence[Evidence]) -> list[str]:
-    """Return a sentence for every two explanations, the worse of the two ways round."""
+def told(outlook: Sequence[Evidence], words: Mapping[str, str]) -> list[str]:
+    """Return a sentence for every two explanations, the worse of the two ways round, in their words for people."""
     worst: dict[frozenset[str], Evidence] = {}
-    for one in outlook:
-        pair = frozenset((one.truth, one.rival))
-        worst[pair] = min(worst.get(pair, one), one, key=lambda each: (each.told_apart, each.sigma))
-    return [_told(one) for one in worst.values()]
+    for evidence in outlook:
+        pair = frozenset((evidence.truth, evidence.rival))
+        worst[pair] = min(worst.get(pair, evidence), evidence, key=lambda each: (each.told_apart, each.sigma))
+    return [_told(evidence, words[evidence.truth], words[evidence.rival]) for evidence in worst.values()]
 
 
-def _told(one: Evidence) -> str:
-    if one.by_simplicity:
-        return f"if it is {one.truth}, {one.rival} can do the same with more parameters: the simpler is named"
-    if one.told_apart:
-        return f"{one.truth} or {one.rival}: told apart, at {_number(one.sigma)} standard deviations"
-    if one.sigma < criteria.VISIBLE_DIFFERENCE:
-        return f"{one.truth} or {one.rival}: not told apart, they predict the same"
-    return f"{one.truth} or {one.rival}: {_number(one.sigma)} standard deviations, too few for what the effect shows"
+def _told(evidence: Evidence, truth: str, rival: str) -> str:
+    if evidence.by_simplicity:
+        return f"if it is {truth}, {rival} can do the same with more parameters: the simpler is named"
+    sigma = _number(evidence.sigma)
+    if evidence.told_apart:
+        return f"{truth} or {rival}: told apart, at {sigma} standard deviations"
+    if evidence.sigma < criteria.VISIBLE_DIFFERENCE:
+        return f"{truth} or {rival}: not told apart, they predict the same"
+    return f"{truth} or {rival}: {sigma} standard deviations, too few conditions or too small a difference for the rule"
 
 
 def _number(sigma: float) -> str:
@@ -257,7 +266,7 @@ _RULES: tuple[tuple[frozenset[str], frozenset[str], str], ...] = (
 
 def would_separate(one: Rival, other: Rival) -> str:
     """Return, as a sentence that names both, what kind of trial or bench tells two causes apart."""
-    return f"{one.name} or {other.name}: {_advice(one, other)}"
+    return f"{one.words} or {other.words}: {_advice(one, other)}"
 
 
 def _advice(one: Rival, other: Rival) -> str:
@@ -432,8 +441,9 @@ def _proposal(
 
 def _remarks(found: ProposedTrials, time_s: float) -> list[str]:
     """Return the head of the file: what it is for."""
+    words = {rival.name: rival.words for rival in found.rivals.rivals}
     lines = [found.rivals.why, f"Rig time of these trials: about {spoken(time_s)}. What to expect:"]
-    return [*lines, *(f"  {line}" for line in told(found.evidence))]
+    return [*lines, *(f"  {line}" for line in told(found.evidence, words))]
 
 
 def _by_hand(names: Sequence[str], trials: Sequence[PlannedTrial], dataset: Dataset) -> list[str]:

@@ -46,7 +46,7 @@ class Rival:
     cause
         None for the recalibrated model without any effect.
     variables
-        Number of variables that its cause adds.
+        Number of variables of its causes.
     error
         What it leaves of recorded data that its fit has not seen.
     """
@@ -57,6 +57,11 @@ class Rival:
     z: FloatArray
     variables: int
     error: UnseenError
+
+    @property
+    def words(self) -> str:
+        """Its name for people."""
+        return self.name if self.cause is None else self.cause.words
 
     @property
     def shared(self) -> FloatArray:
@@ -136,8 +141,8 @@ def rivals_of(search: Search) -> Rivals:
             *(_named(entry.candidates[-1].name, entry) for entry in cause.rivals),
         ]
         rivals = rivals[:_MOST_EXPLANATIONS]
-        names = " or ".join(rival.name for rival in rivals[1:])
-        why = f"The data do not separate {rivals[0].name} from {names}."
+        names = " or ".join(rival.words for rival in rivals[1:])
+        why = f"The data do not separate {rivals[0].words} from {names}."
         return Rivals(tuple(rivals), null, True, why, noise, strata)
     judged = [] if selection.first is None else selection.first.extended
     if not selection.chosen:
@@ -148,11 +153,11 @@ def rivals_of(search: Search) -> Rivals:
     others = [entry for entry in judged if entry.names != last.names]
     if len(selection.chosen) == 1 and others:
         second = _named(others[0].candidates[-1].name, others[0])
-        against = f"the runner-up, {second.name}"
+        against = f"the runner-up, {second.words}"
     else:
         second, against = null, null.name
     first = _named(cause.name, last)
-    why = f"The diagnosis is not in doubt: {first.name} is compared with {against}."
+    why = f"The diagnosis is not in doubt: {first.words} is compared with {against}."
     return Rivals((first, second), null, False, why, noise, strata)
 
 

@@ -12,7 +12,8 @@ from labrun.gap.next.separation import NOTHING
 def _rival(effect, kind="effect"):
     """Return an explanation of which the cause and its sizes matter here."""
     cause = None if effect is None else Name(effect, "hinge" if kind == "effect" else effect, kind)
-    return SimpleNamespace(name=NOTHING if cause is None else str(cause), cause=cause, sizes={})
+    words = NOTHING if cause is None else cause.words
+    return SimpleNamespace(words=words, cause=cause, sizes={})
 
 
 @pytest.mark.parametrize(
@@ -38,7 +39,7 @@ def test_what_resists_both_directions_alike_is_told_from_asymmetric_friction_by_
 def test_coulomb_friction_is_the_asymmetric_one_without_asymmetry():
     advice = would_separate(_rival("coulomb-friction"), _rival("asymmetric-friction"))
     assert advice.startswith(
-        "coulomb-friction at hinge or asymmetric-friction at hinge: The richer friction contains"
+        "Coulomb friction at hinge or asymmetric friction at hinge: The richer friction contains"
     )
 
 
