@@ -30,7 +30,7 @@ from labrun.gap.saving import effects_of
 from labrun.models import Model, Motion, Robot, mjcf_of, run_mjcf, simulate, suggest_substeps
 
 _Moved = Literal["none", "free", "all"]
-"""Which stated parameters are fitted: none, those of which nothing is stated, or all."""
+"""Which stated parameters are fitted beside causes: none, those of which nothing is stated, or all."""
 _Simulator = Callable[[Model, Sequence[int]], list[FloatArray]]
 _DIVERGED = 1e6
 """Squared error, in units of a joint's squared travel, of a simulation that diverges."""
@@ -44,11 +44,14 @@ class Correction:
     ----------
     size
         Number of fitted values.
+    causes
+        Number of parameters among them that are causes themselves.
     """
 
     values: Mapping[str, float]
     effects: tuple[AttachedEffect, ...]
     size: int
+    causes: int = 0
 
 
 @dataclass(frozen=True)
@@ -173,8 +176,13 @@ def check_file(
     for place, joint in enumerate(robot.joints):
         note(f"fitting without parts of the log: {joint.name}, {place + 1} of {len(robot.joints)} joints")
         own = [effect for effect in effects_of(answers[joint.name]) if effect.effect.id not in OF_THE_WHOLE]
+        released = [
+            cause["effect"] for cause in answers[joint.name]["causes"] if cause["kind"] == "parameter"
+        ]
         fitted.append(
-            _corrections(one_joint(around, place), own, answers[joint.name]["corrected"], pieces.fold)
+            _corrections(
+                one_joint(around, place), own, released, answers[joint.name]["corrected"], pieces.fold
+            )
         )
     whole = _of_the_whole(model, diagnosis)
     note("simulating the stated, the corrected and the exported robot")
@@ -201,7 +209,8 @@ def check_file(
 
 
 def _words(correction: Correction) -> str:
-    parts = ["causes"] * bool(correction.effects) + ["parameters"] * bool(correction.values)
+    parts = ["causes"] * bool(correction.effects or correction.causes)
+    parts += ["parameters"] * (len(correction.values) > correction.causes)
     return " and ".join(parts) or "as stated"
 
 
@@ -225,12 +234,22 @@ def model_names(model: Model) -> set[str]:
 
 
 def _corrections(
-    joint: OneJoint, effects: Sequence[AttachedEffect], corrected: Mapping[str, float], fold: IntArray
+    joint: OneJoint,
+    effects: Sequence[AttachedEffect],
+    released: Sequence[str],
+    corrected: Mapping[str, float],
+    fold: IntArray,
 ) -> list[list[Correction]]:
-    """Return every correction of a joint, the simplest first: fitted without each fold, then to everything."""
+    """Return every correction of a joint, the simplest first: fitted without each fold, then to everything.
+
+    Parameters
+    ----------
+    released
+        Parameters that are causes themselves: further from what is stated than their tolerance allows.
+    """
     folds = int(fold.max()) + 1
     nothing = [Correction({}, (), 0)] * (folds + 1)
-    problem, start = _problem(joint, effects, corrected)
+    problem, start = _problem(joint, effects, released, corrected)
     if problem is None:
         values = {
             parameter.name: corrected[parameter.name]
@@ -239,20 +258,23 @@ def _corrections(
         }
         count = len(values) + sum(len(effect.values) for effect in effects)
         return [nothing, [Correction(values, tuple(effects), count)] * (folds + 1)] if count else [nothing]
-    kinds: list[_Moved] = ["none", "free", "all"] if effects else ["free", "all"]
+    kinds: list[_Moved] = ["none", "free", "all"] if effects or released else ["free", "all"]
     found, moved_before = [nothing], -1
     for kind in kinds:
-        moved = _variables_moved(problem, kind)
+        moved = _variables_moved(problem, kind, released)
         if int(moved.sum()) == moved_before or not (effects or moved.any()):
             continue
         moved_before = int(moved.sum())
-        withheld = [_fitted(problem, start, moved, fold != number) for number in range(folds)]
-        found.append([*withheld, _fitted(problem, start, moved, fold >= 0)])
+        withheld = [_fitted(problem, start, moved, fold != number, released) for number in range(folds)]
+        found.append([*withheld, _fitted(problem, start, moved, fold >= 0, released)])
     return found
 
 
 def _problem(
-    joint: OneJoint, effects: Sequence[AttachedEffect], corrected: Mapping[str, float]
+    joint: OneJoint,
+    effects: Sequence[AttachedEffect],
+    released: Sequence[str],
+    corrected: Mapping[str, float],
 ) -> tuple[Problem | None, FloatArray]:
     """Return the problem of a joint with its causes, and where its diagnosis ended; None if it does not simulate."""
     trials = tuple(replace(trial, members=(trial.outputs,)) for trial in joint.dataset.trials)
@@ -260,6 +282,9 @@ def _problem(
     try:
         scales = site_scales(plain, plain.begin())
         problem = plain.with_effects(effects, [scales[effect.effect.kind, effect.site] for effect in effects])
+        for parameter in joint.model.parameters:
+            if parameter.name in released:
+                problem = replace(problem, priors=problem.priors.releasing(parameter, criteria.FAR_OFF))
         own = np.array([corrected.get(each.name, each.value) for each in joint.model.parameters])
         values = np.concatenate([own, *(effect.values for effect in effects)])
         shared = np.clip(
@@ -273,14 +298,19 @@ def _problem(
         return None, np.empty(0)
 
 
-def _variables_moved(problem: Problem, kind: _Moved) -> Any:
+def _variables_moved(problem: Problem, kind: _Moved, released: Sequence[str]) -> Any:
     priors = problem.priors
     of_model = priors.free < len(problem.model.parameters)
     free = ~np.isfinite(priors.sigma)
-    return of_model & (free if kind == "free" else np.full(len(free), kind == "all"))
+    if kind == "all":
+        return of_model
+    cause = np.array([name in released for name in priors.names], dtype=bool)
+    return of_model & (cause if kind == "none" else free | cause)
 
 
-def _fitted(problem: Problem, start: FloatArray, moved: Any, seen: Any) -> Correction:
+def _fitted(
+    problem: Problem, start: FloatArray, moved: Any, seen: Any, released: Sequence[str]
+) -> Correction:
     """Return the fit to the trials that are seen; parameters that may not move stay as stated."""
     priors, size = problem.priors, problem.size
     count = len(problem.model.parameters)
@@ -304,7 +334,8 @@ def _fitted(problem: Problem, start: FloatArray, moved: Any, seen: Any) -> Corre
     names = [parameter.name for parameter in problem.model.parameters]
     values = {names[index]: float(parameters[index]) for index in priors.free[moved].tolist()}
     size = int(moved.sum() + np.sum(priors.free >= count))
-    return Correction(_with_rate_gain_as_damping(problem, values), part.attached(parameters), size)
+    causes = sum(name in released for name in values)
+    return Correction(_with_rate_gain_as_damping(problem, values), part.attached(parameters), size, causes)
 
 
 def _with_rate_gain_as_damping(problem: Problem, values: dict[str, float]) -> dict[str, float]:

@@ -27,13 +27,14 @@ MOVED = {"shoulder_kp": 105.0, "upper_mass_ratio": 1.13, "lower_mass_ratio": 0.9
 """What a recalibration that imitates something says of a joint that moves as its file says."""
 
 
-def logged(folder, friction):
+def logged(folder, friction, armature=0.0):
     """Return the robot, its model, and six motions that MuJoCo makes with dry friction at the elbow."""
     (folder / "arm.xml").write_text(XML)
     robot = read_robot(folder / "arm.xml")
     (folder / "model.toml").write_text(robot_table(robot))
     spec = mujoco.MjSpec.from_string(XML)
     spec.joint("elbow").frictionloss = friction
+    spec.joint("elbow").armature += armature
     spec.option.timestep = 2.5e-4
     native, rng = spec.compile(), np.random.default_rng(4)
     time_s, trials = np.arange(0.0, 1.5, 0.01), []
@@ -56,11 +57,14 @@ def logged(folder, friction):
     return robot, load_model(folder / "model.toml"), dataset
 
 
-def diagnosis(shoulder, elbow, effects=()):
+def diagnosis(shoulder, elbow, effects=(), causes=()):
     """Return a stored diagnosis with what two joints are said to be."""
     joints = [
-        {"joint": "shoulder", "diagnosis": {"corrected": shoulder, "effects": []}},
-        {"joint": "elbow", "diagnosis": {"corrected": elbow, "effects": list(effects)}},
+        {"joint": "shoulder", "diagnosis": {"corrected": shoulder, "effects": [], "causes": []}},
+        {
+            "joint": "elbow",
+            "diagnosis": {"corrected": elbow, "effects": list(effects), "causes": list(causes)},
+        },
     ]
     return {"joints": joints, "whole": [], "corrected": {}, "effects": list(effects), "seed": 0}
 
@@ -100,6 +104,14 @@ def test_a_cause_that_is_not_there_is_left_out(tmp_path):
     assert check.file.effects == ()
     for joint in check.joints:
         assert joint.exported == joint.stated
+
+
+def test_a_parameter_that_is_the_cause_moves_further_than_its_tolerance(tmp_path):
+    robot, model, dataset = logged(tmp_path, 0.0, 0.03)
+    cause = {"effect": "elbow_armature", "kind": "parameter", "site": "elbow_armature"}
+    check = check_file(robot, model, dataset, diagnosis({}, {"elbow_armature": 0.05}, causes=[cause]))
+    assert check.joints[1].exported_as == "causes"
+    assert check.file.values["elbow_armature"] == pytest.approx(0.05, rel=0.05)
 
 
 def test_a_check_reads_what_it_stored(checked):
