@@ -1,4 +1,4 @@
-"""`labrun gap diagnose`, `save`, `export`, `test`, `compare`, `plan` and `next`."""
+"""`labrun gap diagnose`, `save`, `export`, `test`, `compare`, `check-fit`, `plan` and `next`."""
 
 import signal
 from collections.abc import Callable, Sequence
@@ -390,6 +390,65 @@ def export(
         print_result(made, as_json)
 
 
+def check_fit(
+    result: Annotated[
+        Path,
+        typer.Argument(
+            help="What another tool found: params_x_hat.yaml or the identified MJCF of mujoco.sysid, YAML or JSON of "
+            "PACE or Isaac Lab, or {joint: {armature, damping, frictionloss, kp, delay}}.",
+            exists=True,
+            dir_okay=False,
+        ),
+    ],
+    robot: Annotated[
+        Path, typer.Option("--model", help="The robot's MJCF or URDF file.", exists=True, dir_okay=False)
+    ],
+    log: Annotated[list[Path], typer.Option(help="The log that was fitted, or another one; repeatable.")],
+    mapping: options.Mapping = None,
+    unit: options.Unit = None,
+    zero: options.Zero = None,
+    publisher: options.Publisher = None,
+    time: options.TimeColumn = None,
+    time_unit: options.TimeUnit = None,
+    stamps: options.Stamps = None,
+    cut: options.Cut = None,
+    rate: options.Rate = None,
+    repair: options.Repair = False,
+    within: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME",
+            help="End the diagnosis with its best answer so far after this time, such as 5min.",
+        ),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of resamples; 0 if not given.")] = None,
+    workers: options.Workers = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Say which parameters that another tool found hold, and which stand in for something else.
+
+    Diagnoses the log, simulates it with the file as stated, with the other tool's numbers and with what the diagnosis
+    says, and takes each number back in turn.
+
+    Example:  labrun gap check-fit fitted.yaml --model arm.xml --log run.mcap
+    """
+    with reported(as_json):
+        from labrun.app.check_fit import check_fit as check_result
+        from labrun.app.logs import import_log
+
+        answers = options.log_answers(
+            mapping, unit, zero, publisher, time, time_unit, stamps, cut, rate, repair
+        )
+        folder = import_log(log, str(robot), answers=answers).folder
+        with status() as note:
+            checked = check_result(
+                result, folder, within_s=options.seconds(within), seed=seed, workers=workers, results=results,
+                note=note,
+            )  # fmt: skip
+        print_result(checked, as_json)
+
+
 def next_(
     target: options.Target,
     model: Model = None,
@@ -417,7 +476,7 @@ def next_(
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "diagnose": diagnose, "save": save, "export": export, "test": test, "compare": compare, "plan": plan,
-    "next": next_, **blind.COMMANDS,
+    "check-fit": check_fit, "next": next_, **blind.COMMANDS,
 }  # fmt: skip
 for _name, _command in COMMANDS.items():
     gap.command(_name)(_command)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from labrun.report.figures.gap import diagnosis_figure
     from labrun.report.gap_page import diagnosis_page
     from labrun.report.gap_text import compared_text, fresh_text, gap_lines, trial_plan_text, units_text
-    from labrun.report.robot import file_check_lines, robot_figure, robot_lines, robot_page
+    from labrun.report.robot import file_check_lines, other_fit_lines, robot_figure, robot_lines, robot_page
     from labrun.report.run_page import report_page
     from labrun.report.style import as_svg, save_figure
 
@@ -43,7 +43,7 @@ _LATER = {
     "figures.gap": ("diagnosis_figure",),
     "gap_page": ("diagnosis_page",),
     "gap_text": ("compared_text", "fresh_text", "gap_lines", "trial_plan_text", "units_text"),
-    "robot": ("file_check_lines", "robot_figure", "robot_lines", "robot_page"),
+    "robot": ("file_check_lines", "other_fit_lines", "robot_figure", "robot_lines", "robot_page"),
     "run_page": ("report_page",),
     "style": ("as_svg", "save_figure"),
 }
@@ -83,7 +83,7 @@ __all__ = [
     "gap_lines",
     "interval_text",
     "keys_text",
-    "plan_text",
+    "other_fit_lines", "plan_text",
     "print_findings",
     "ranking_text",
     "remark_text",

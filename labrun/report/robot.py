@@ -7,7 +7,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from labrun.gap import Cause, FileCheck, JointDiagnosis, RobotDiagnosis
+from labrun.gap import Cause, FileCheck, JointDiagnosis, JudgedValue, OtherFit, RobotDiagnosis
 from labrun.report.figures.gap_traces import traces_figure
 from labrun.report.gap_page import parameter_table
 from labrun.report.gap_words import HEADLINES, ranked, status_words, times_noise, value_words
@@ -116,6 +116,43 @@ def file_check_lines(check: FileCheck) -> list[str]:
     """Return a line a joint: errors of the stated, corrected and exported robot on data that the fit has not seen."""
     heading = f"on {check.pieces} pieces of the log, each simulated by a fit that has not seen it:"
     return ["", heading, *aligned([list(_CHECK_HEADS), *_check_rows(check)])]
+
+
+def other_fit_lines(fit: OtherFit) -> list[str]:
+    """Return the errors of every joint by three models, then a line for each number that another tool found."""
+    heads = ["joint", "as stated", "as fitted", "as diagnosed"]
+    errors = [
+        [
+            joint.joint,
+            *(f"{number(value, 2)} {joint.unit}" for value in (joint.stated, joint.fitted, joint.corrected)),
+        ]
+        for joint in fit.joints
+    ]
+    units = {joint.joint: joint.unit for joint in fit.joints}
+    numbers = [
+        [
+            f"{value.fitted.element} {value.fitted.quantity}",
+            "" if value.stated is None else number(value.stated, 3),
+            number(value.fitted.value, 3),
+            _judged_words(value, units),
+        ]
+        for value in fit.values
+    ]
+    lines = [*aligned([heads, *errors]), ""]
+    lines += aligned([["number", "stated", "fitted", "the rule says"], *numbers]) if numbers else []
+    return [*lines, *fit.remarks]
+
+
+def _judged_words(value: JudgedValue, units: Mapping[str, str]) -> str:
+    words = {
+        "holds": "holds",
+        "stands in": f"stands in for {value.instead}",
+        "not asked for": "not asked for: as stated, the log is predicted no worse",
+        "not applied": "not checked: the robot's model has no such number",
+    }[value.judgement]
+    if value.judgement in ("holds", "stands in") and value.fitted.element in units:
+        words += f"; as stated, the error is {number(value.without, 2)} {units[value.fitted.element]}"
+    return words + ("; at its bound" if value.fitted.at_bound else "")
 
 
 _SHOWN = 12

@@ -169,7 +169,7 @@ def check_file(
     RequestError, FitError
         A robot or data that are not those of the diagnosis.
     """
-    pieces = _Pieces.of(robot, dataset, diagnosis)
+    pieces = Pieces.of(robot, dataset, diagnosis)
     answers = {joint["joint"]: joint["diagnosis"] for joint in diagnosis["joints"]}
     around = as_diagnosed(prescribed(robot, model, pieces.dataset), diagnosis, answers)
     fitted: list[list[list[Correction]]] = []
@@ -351,7 +351,7 @@ def _with_rate_gain_as_damping(problem: Problem, values: dict[str, float]) -> di
 
 
 @dataclass(frozen=True)
-class _Pieces:
+class Pieces:
     """A log in pieces, each of which belongs to a fold.
 
     Attributes
@@ -374,7 +374,8 @@ class _Pieces:
     travel: FloatArray
 
     @classmethod
-    def of(cls, robot: Robot, dataset: Dataset, diagnosis: Mapping[str, Any]) -> "_Pieces":
+    def of(cls, robot: Robot, dataset: Dataset, diagnosis: Mapping[str, Any]) -> "Pieces":
+        """Cut a log into pieces."""
         trials = _cut(robot, dataset)
         conditions = [tuple(sorted(trial.condition.items())) for trial in trials]
         known = list(dict.fromkeys(conditions))
@@ -402,10 +403,12 @@ class _Pieces:
 
     @property
     def folds(self) -> int:
+        """Number of parts of the log that are withheld in turn."""
         return int(self.fold.max()) + 1
 
     @property
     def columns(self) -> list[int]:
+        """Columns of the outputs that the joints are, in their order."""
         names = [signal.name for signal in self.dataset.outputs]
         return [names.index(joint.output) for joint in self.robot.joints]
 
@@ -537,7 +540,7 @@ class _Check:
     """
 
     model: Model
-    pieces: _Pieces
+    pieces: Pieces
     fitted: Sequence[Sequence[Sequence[Correction]]]
     whole: Written
     simulator: _Simulator

@@ -1,0 +1,67 @@
+"""A second opinion on what another tool fitted to a robot's log."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labrun.app.diagnose_robot import diagnose_joints, robot_of
+from labrun.app.other_fits import read_fit
+from labrun.app.question import ask
+from labrun.fit import Note, silent
+from labrun.gap import OtherFit, judge_fit
+from labrun.report import other_fit_lines
+from labrun.store import find_data
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedFit:
+    """What the rule says of another tool's numbers, and where the diagnosis behind it is kept."""
+
+    fit: OtherFit
+    diagnosis: Path
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``labrun gap check-fit --json`` prints."""
+        return {**self.fit.to_json(), "diagnosis": str(self.diagnosis)}
+
+    def to_text(self) -> str:
+        """Return the errors of every joint, a line a number, and where the diagnosis is."""
+        return "\n".join([*other_fit_lines(self.fit), f"diagnosis  {self.diagnosis}"])
+
+
+def check_fit(
+    result: Path,
+    target: str | Path,
+    *,
+    withhold: Sequence[str] = (),
+    within_s: float | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    results: str | Path = "results",
+    note: Note = silent,
+) -> CheckedFit:
+    """Say which parameters that another tool found the log asks for, and which stand in for something else.
+
+    Parameters
+    ----------
+    result
+        The other tool's file, see `labrun.app.other_fits.read_fit`.
+    target
+        A recording folder that `import_log` made of the robot's log.
+
+    Raises
+    ------
+    RequestError
+        The file holds nothing of the robot, or the robot cannot be taken apart into its joints.
+    """
+    folder = find_data(target, Path(results))
+    question = ask(folder, None)
+    robot = robot_of(folder, question.dataset)
+    values = read_fit(result, robot)  # before minutes of computing
+    stored = diagnose_joints(
+        folder, withhold=withhold, within_s=within_s, seed=seed, workers=workers, page=False, results=results,
+        note=note,
+    )  # fmt: skip
+    judged = judge_fit(robot, question.model, question.dataset, stored.diagnosis.to_json(), values, note=note)
+    return CheckedFit(judged, stored.numbers)
