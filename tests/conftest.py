@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import rendering
+import unsynced
 from hypothesis import settings
 from hypothesis.internal.conjecture import providers
 
@@ -60,8 +61,9 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _empty_pictures() -> None:
+def _shortcuts() -> None:
     rendering.leave_pictures_empty()
+    unsynced.leave_files_unsynced()
 
 
 @pytest.fixture(autouse=True)

@@ -89,9 +89,11 @@ def forked_emulators() -> Iterator[None]:
 def _serve(address: str) -> None:
     sys.path.append(str(Path(__file__).parent))
     import rendering
+    import unsynced
 
     sys.path.pop()
     rendering.leave_pictures_empty()
+    unsynced.leave_files_unsynced()
     for package in ("app", "cli", "fit", "gap", "report"):
         for module in pkgutil.walk_packages([str(Path(labrun.__path__[0]) / package)], f"labrun.{package}."):
             importlib.import_module(module.name)
