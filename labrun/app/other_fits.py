@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from labrun.errors import RequestError
-from labrun.gap import FittedValue
-from labrun.gap.robot.other_fit import Quantity
+from labrun.gap import FittedValue, Quantity
 from labrun.models import Robot, is_robot, read_robot, robot_terms
 
 _QUANTITIES: Mapping[str, Quantity] = {

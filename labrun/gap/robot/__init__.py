@@ -4,10 +4,10 @@ from labrun.gap.robot.diagnose import diagnose_robot
 from labrun.gap.robot.diagnosis import JointDiagnosis, RobotDiagnosis
 from labrun.gap.robot.file_check import CheckedJoint, FileCheck, Written, check_file
 from labrun.gap.robot.one_joint import why_not
-from labrun.gap.robot.other_fit import FittedValue, JudgedJoint, JudgedValue, OtherFit, judge_fit
+from labrun.gap.robot.other_fit import FittedValue, JudgedJoint, JudgedValue, OtherFit, Quantity, judge_fit
 from labrun.gap.robot.ranges import parameter_ranges
 
 __all__ = [
     "CheckedJoint", "FileCheck", "FittedValue", "JointDiagnosis", "JudgedJoint", "JudgedValue", "OtherFit",
-    "RobotDiagnosis", "Written", "check_file", "diagnose_robot", "judge_fit", "parameter_ranges", "why_not",
+    "Quantity", "RobotDiagnosis", "Written", "check_file", "diagnose_robot", "judge_fit", "parameter_ranges", "why_not",
 ]  # fmt: skip
