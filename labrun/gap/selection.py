@@ -268,8 +268,8 @@ class Selector:
     def _forward(self) -> None:
         """Add causes, or shapes of causes, one step after the other; the first two causes also only together.
 
-        Beside a cause of several parameters the best of fewer stays in the beam: with a further cause it may explain as
-        much by fewer parameters in all.
+        Beside a cause of several parameters, what leads among those with fewer stays in the beam: with a further cause
+        it may explain as much by fewer parameters in all.
         """
         beam, failed = [self.reference], False
         while len(self._best.candidates) < criteria.MOST_CAUSES:
@@ -282,13 +282,14 @@ class Selector:
             accepted = [entry for entry in sets if self.is_accepted(entry, self._best)]
             leader = self._leader(accepted or sets)
             if accepted:
-                simpler = [entry for entry in accepted if entry.variables < leader.variables]
-                self._best, beam = leader, [leader, *simpler[:1]]
+                simpler = [entry for entry in sets if entry.variables < leader.variables]
+                self._best, beam = leader, [leader, *([self._leader(simpler)] if simpler else [])]
                 continue
             simpler = [
                 entry
                 for entry in sets
-                if entry.variables < self._best.variables and not self._beats(self._best, entry)
+                if (entry.variables, entry.error.mean) < (self._best.variables, self._best.error.mean)
+                and not self._beats(self._best, entry)
             ]
             if simpler:
                 self._best = self._leader(simpler)

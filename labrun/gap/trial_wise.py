@@ -201,11 +201,14 @@ def set_anew(residual: Sequence[FloatArray], deviations: Sequence[Deviation]) ->
 
 
 def _shared(own: FloatArray) -> float:
-    """Return what deviations have in common; 0 where chance would make them agree as well."""
+    """Return what deviations have in common; 0 where chance would make them agree as well.
+
+    Two trials cannot tell chance: what they agree on counts as common.
+    """
     from scipy.stats import ttest_1samp
 
     if len(own) < _FEWEST_AGREEING or np.ptp(own) == 0.0:
-        return float(np.mean(own)) if len(own) >= _FEWEST_AGREEING else 0.0
+        return float(np.mean(own))
     return float(np.mean(own)) if ttest_1samp(own, 0.0).pvalue <= criteria.DEVIATION_P else 0.0
 
 
@@ -287,7 +290,7 @@ def _looked_at_alone(
 ) -> _Alone | None:
     """Return what one kind makes up of the residual; None if that is little, or not to be told."""
     trials, blocks = len(residual), _DEVIATION_BLOCKS
-    if trials < _FEWEST_AGREEING or min(map(len, residual)) < blocks:
+    if trials < 2 or min(map(len, residual)) < blocks:
         return None
     every = output is None or kind in SIMULATED
     columns = slice(None) if every else slice(output, (output or 0) + 1)
