@@ -48,7 +48,9 @@ def test_zeros_that_are_set_anew_are_no_cause() -> None:
 def test_a_bias_common_to_all_trials_is_told_beside_zeros_that_are_set_anew() -> None:
     data = with_zeros_set_anew(recorded(nothing), 0.01, common=0.1)
     (sentence,) = diagnose_dataset(data, pendulum(), FEW).differs
-    mean = re.fullmatch(r"bias at angle differs by trial \(mean (\S+) rad, standard deviation 0.01\d rad\)", sentence)
+    mean = re.fullmatch(
+        r"bias at angle differs by trial \(mean (\S+) rad, standard deviation 0.01\d rad\)", sentence
+    )
     assert mean is not None
     assert float(mean[1]) == pytest.approx(0.1, abs=3 * 0.01 / np.sqrt(len(data.trials)))
 
