@@ -274,9 +274,9 @@ def require_answer(result: RunResult, experiment: Experiment) -> RunResult:
 def _recorder(experiment: Experiment, rig: Rig, folder: RunFolder, seed: int, progress: Progress) -> Recorder:
     """Return how trials are recorded: with the loops closed, or cycle by cycle until an end, where asked for."""
     if experiment.kind == "track":
-        from labrun.control import loop_recorder  # compiled loops
+        from labrun.control import ClosedLoopRecorder
 
-        return loop_recorder(experiment, rig)
+        return ClosedLoopRecorder(experiment, rig)
     if experiment.trial.until is not None:
         return UntilRecorder(experiment, rig, folder, seed=seed, phase=progress.phase)
     return record_planned
@@ -289,9 +289,9 @@ def objective_unit(experiment: Experiment, rig: Rig, name: str) -> str:
     sensor = rig.sensors.get(device)
     units = {item.name: item.unit for item in sensor.channels} if sensor is not None else {}
     if device == LOOP_DEVICE and experiment.kind == "track":
-        from labrun.control import loop_recorder  # compiled loops
+        from labrun.control import ClosedLoopRecorder
 
-        units = {item.name: item.unit for item in loop_recorder(experiment, rig).channels}
+        units = {item.name: item.unit for item in ClosedLoopRecorder(experiment, rig).channels}
     return make_objective(name, table).unit(units.get(channel, ""))
 
 

@@ -142,9 +142,9 @@ def whole_plan(
         raise SpecError(f"{loaded.place(error.key)}: {error}") from error
     columns_hz = 0.0
     if experiment.kind == "track":
-        from labrun.control import loop_recorder  # compiled loops
+        from labrun.control import ClosedLoopRecorder
 
-        recorder = loop_recorder(experiment, planner.rig)
+        recorder = ClosedLoopRecorder(experiment, planner.rig)
         recorder.require_makeable(chosen)
         columns_hz = recorder.columns_hz
     found = _counted(

@@ -1,13 +1,12 @@
 """Closed loops: references, feedbacks and controllers, and what runs them in a trial."""
 
 from labrun.control.closed_loop import ClosedLoopRecorder
-from labrun.control.compiled.recorder import CompiledLoopRecorder, loop_recorder
 from labrun.control.pid import FeedforwardPid, PidController
 from labrun.control.plant import TransferTable, response_table
 from labrun.control.protocol import LoopContext, Step
 from labrun.control.references import HalfSineReference, HalfSineSettings
 
 __all__ = [
-    "ClosedLoopRecorder", "CompiledLoopRecorder", "FeedforwardPid", "HalfSineReference", "HalfSineSettings",
-    "LoopContext", "PidController", "Step", "TransferTable", "loop_recorder", "response_table",
+    "ClosedLoopRecorder", "FeedforwardPid", "HalfSineReference", "HalfSineSettings",
+    "LoopContext", "PidController", "Step", "TransferTable", "response_table",
 ]  # fmt: skip

@@ -1,22 +1,17 @@
-"""A thread that hears a device, where it keeps what it heard, and the newest sample where compiled code finds it."""
+"""A thread that hears a device, and where it keeps what it heard."""
 
-import contextlib
-import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from labrun.arrays import FloatArray, IntArray
+from labrun.arrays import FloatArray
 from labrun.devices.clock import Clock
 from labrun.devices.protocols import Sensor, streaming
 from labrun.devices.samples import Channel, Samples
 
-SLOTS = 16
-"""A reader has as many samples' time to copy one before it is overwritten."""
 _JUMP_S = 1.0
 """A device clock that differs by more from what it was was set or garbled: its offset is found anew."""
 
@@ -35,84 +30,6 @@ class SampleClock:
         return device_time_s + self._behind_s
 
 
-class NewestView(NamedTuple):
-    """What compiled code sees of a `Newest`: the newest sample stands in row ``(number - 1) % SLOTS``.
-
-    Attributes
-    ----------
-    number : (1,)
-        Samples so far.
-    made_s, heard_s : (SLOTS,)
-        When each was made, and when it was received, by the run's clock.
-    values : (SLOTS, channels)
-    """
-
-    number: IntArray
-    made_s: FloatArray
-    heard_s: FloatArray
-    values: FloatArray
-
-
-class Bell:
-    """Wakes compiled code that sleeps until a sample comes (`labrun.devices.system_calls.sleep_until_rung`); Linux.
-
-    Attributes
-    ----------
-    file
-        Descriptor that can be read once it was rung. It is closed when nobody holds the bell any more: a listening
-        thread may be about to ring it.
-    """
-
-    def __init__(self) -> None:
-        self.file = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-
-    def ring(self) -> None:
-        """Wake who sleeps, or who is about to."""
-        with contextlib.suppress(BlockingIOError):
-            os.eventfd_write(self.file, 1)
-
-    def __del__(self) -> None:
-        with contextlib.suppress(AttributeError, OSError):
-            os.close(self.file)
-
-
-class Newest:
-    """Keeps the newest samples of a sensor; one thread writes, any number read.
-
-    Parameters
-    ----------
-    channels
-        Number of values in a sample.
-    bell
-        Is rung with every block, if somebody sleeps until then.
-    """
-
-    def __init__(self, channels: int, bell: Bell | None = None) -> None:
-        never = np.full(SLOTS, -np.inf)
-        values = np.full((SLOTS, channels), np.nan)
-        self.view = NewestView(np.zeros(1, dtype=np.int64), never, never.copy(), values)
-        self._clock = SampleClock()
-        self._bell = bell
-
-    def put(self, samples: Samples) -> None:
-        """Take a block; its last sample is the newest."""
-        if not len(samples):
-            return
-        made_s = self._clock.made_s(samples.device_time_s, samples.host_time_s)
-        number, times, heard_s, values = self.view
-        count = int(number[0]) + len(samples)
-        kept = min(len(samples), SLOTS)
-        rows = np.arange(count - kept, count) % SLOTS
-        times[rows], heard_s[rows], values[rows] = (
-            made_s[-kept:],
-            samples.host_time_s[-kept:],
-            samples.values[-kept:],
-        )
-        number[0] = count  # last: who sees the number finds the sample
-        if self._bell is not None:
-            self._bell.ring()
-
-
 _LOOK_EVERY_S = 0.02
 
 
@@ -123,15 +40,9 @@ class SampleBuffer:
     ----------
     channels
         Number of values in a sample.
-
-    Attributes
-    ----------
-    newest
-        Is shown every sample as it comes; None if nobody waits for it.
     """
 
     def __init__(self, channels: int) -> None:
-        self.newest: Newest | None = None
         self._channels = channels
         self._lock = threading.Lock()
         self._blocks: list[tuple[FloatArray, FloatArray, FloatArray]] = []
@@ -175,8 +86,6 @@ class SampleBuffer:
             self._blocks.append((device_s, host_s, rows))
             self._lost += lost
             self._saturated += saturated
-        if self.newest is not None:
-            self.newest.put(Samples(device_s, host_s, rows))
 
     def count_lost(self, lost: int) -> None:
         """Add to the samples that never arrived."""

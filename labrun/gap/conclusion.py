@@ -134,8 +134,8 @@ def conclude(
     channels = tuple((output.name, output.unit) for output in dataset.outputs)
     input_channels = tuple((signal.name, signal.unit) for signal in dataset.inputs)
     differs = tuple(
-        words(deviation, channels, problem.model.states, input_channels)
-        for deviation in remaining(final.problem, final.z)
+        words(deviation, channels, problem.model.states, input_channels, mean)
+        for deviation, mean in remaining(final.problem, final.z)
     )
     recalibrated, last = _named(problem, z), _named(final.problem, final.z)
     repeats = search.data.repeats

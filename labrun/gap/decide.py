@@ -129,3 +129,22 @@ def win_frequencies(
             chosen = [complexity[row] for row in accepted]
             wins[accepted[leader(errors[np.ix_(accepted, units)], chosen, strata[units])]] += 1.0
     return wins / len(drawn)
+
+
+def chosen_without_each_unit(
+    errors: FloatArray, complexity: Sequence[tuple[int, int]], strata: IntArray
+) -> IntArray:
+    """Return the row that leads (rules 1 and 2) when a unit is left out of the choice, for each unit, (units,).
+
+    Units are left out with their whole stratum, where there is more than one. The first row is the model without any
+    cause; it stays where no other row beats it on the units that are kept, or none is kept.
+    """
+    several = len(np.unique(strata)) > 1
+    chosen = np.zeros(len(strata), dtype=np.intp)
+    for unit, stratum in enumerate(strata if len(strata) > 1 else ()):
+        kept = strata != stratum if several else np.arange(len(strata)) != unit
+        seen, groups = errors[:, kept], strata[kept]
+        accepted = [row for row in range(1, len(errors)) if beats(seen[row], seen[0], groups)]
+        if accepted:
+            chosen[unit] = accepted[leader(seen[accepted], [complexity[row] for row in accepted], groups)]
+    return chosen

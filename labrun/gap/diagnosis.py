@@ -53,6 +53,9 @@ class Rest:
         Root mean square of what is left on unseen data, in units of one trial's noise.
     share_of_gap
         The same as a share of the recalibrated gap.
+    nested
+        As `in_noise`, with causes that were chosen without the condition that they predict; None where no cause was
+        chosen.
     predictable
         Share of its square that a regression on motion, inputs and their recent past predicts of pieces of time that
         the regression has not seen, 0 to 1. None where it was not asked.
@@ -67,11 +70,13 @@ class Rest:
     predictable: float | None = None
     depends_on: tuple[str, ...] = ()
     within_noise: bool = False
+    nested: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return it as ``--json`` prints it."""
         return {
             "in_noise": self.in_noise,
+            "in_noise_nested": self.nested,
             "share_of_gap": self.share_of_gap,
             "predictable": self.predictable,
             "depends_on": list(self.depends_on),

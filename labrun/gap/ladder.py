@@ -108,12 +108,13 @@ def rest_of(search: Search, model: CauseSet, *, ask: bool) -> Rest:
     within = search.noise.known and left <= search.floor
     share = left / gap if gap > 0.0 and model is not search.selection.reference else 1.0
     followed = any(output.followed for output in search.model.outputs)
+    nested = search.selection.nested if search.selection.chosen else None
     if within or followed or not ask:
-        return Rest(left, share, within_noise=within)
+        return Rest(left, share, within_noise=within, nested=nested)
     problem, z = model.base.problem, model.base.z
     predictable = learnable_share(problem, z)
     signals = dependence(problem, z, predictable) if predictable >= criteria.LEARNABLE else ()
-    return Rest(left, share, predictable, signals)
+    return Rest(left, share, predictable, signals, nested=nested)
 
 
 def verdict_of(search: Search, causes: Sequence[Cause], rest: Rest) -> Verdict:

@@ -156,6 +156,8 @@ class Selection:
         All candidates beside no cause, and beside all causes. None where nothing was searched.
     judged
         Candidates that were promising enough to be judged on unseen data, beside any set of causes.
+    nested
+        What is left of unseen data, in units of one trial's noise, where the choice of causes has not seen them either.
     stopped
         Why the search ended early, "interrupted" or "time"; "" where it ended by itself.
     """
@@ -166,6 +168,7 @@ class Selection:
     first: Table | None
     last: Table | None
     judged: frozenset[Name] = frozenset()
+    nested: float = float("nan")
     stopped: str = ""
 
     @property
@@ -223,7 +226,27 @@ class Selector:
         chosen, steps = self._described(self._best)
         judged = {candidate.name for table in self._tables.values() for candidate in table.judged}
         first, last = self._tables.get(self.reference.forms), self._tables.get(self._best.forms)
-        return Selection(self.reference, steps, chosen, first, last, frozenset(judged), stopped)
+        return Selection(
+            self.reference, steps, chosen, first, last, frozenset(judged), self._nested(steps[-1]), stopped
+        )
+
+    def _nested(self, final: CauseSet) -> float:
+        """Return the error of sets of causes that were each chosen without the unit that they predict.
+
+        The choice is repeated on stored errors, among sets of as many causes at most.
+        """
+        others = [
+            entry
+            for entry in self._extensions
+            if len(entry.names) <= len(final.names) and self.is_accepted(entry, self.reference)
+        ]
+        sets = [self.reference, final, *others]
+        logs = np.array([entry.error.log for entry in sets])
+        complexity = [entry.complexity if entry.candidates else (0, 0) for entry in sets]
+        chosen = decide.chosen_without_each_unit(logs, complexity, self.units.strata)
+        left = sum(float(np.mean(sets[row].error.squares[unit])) for unit, row in enumerate(chosen))
+        usual = float(np.sum(np.mean(final.error.squares, axis=1)))
+        return final.error.in_noise * float(np.sqrt(left / usual)) if usual > 0.0 else final.error.in_noise
 
     def closes(self, before: UnseenError, after: UnseenError) -> float:
         """Return the share of the gap (root mean square) that a step from one model to another closes."""
@@ -268,8 +291,8 @@ class Selector:
     def _forward(self) -> None:
         """Add causes, or shapes of causes, one step after the other; the first two causes also only together.
 
-        Beside a cause of several parameters the best of fewer stays in the beam: with a further cause it may explain as
-        much by fewer parameters in all.
+        Beside a cause of several parameters, what leads among those with fewer stays in the beam: with a further cause
+        it may explain as much by fewer parameters in all.
         """
         beam, failed = [self.reference], False
         while len(self._best.candidates) < criteria.MOST_CAUSES:
@@ -282,13 +305,14 @@ class Selector:
             accepted = [entry for entry in sets if self.is_accepted(entry, self._best)]
             leader = self._leader(accepted or sets)
             if accepted:
-                simpler = [entry for entry in accepted if entry.variables < leader.variables]
-                self._best, beam = leader, [leader, *simpler[:1]]
+                simpler = [entry for entry in sets if entry.variables < leader.variables]
+                self._best, beam = leader, [leader, *([self._leader(simpler)] if simpler else [])]
                 continue
             simpler = [
                 entry
                 for entry in sets
-                if entry.variables < self._best.variables and not self._beats(self._best, entry)
+                if (entry.variables, entry.error.mean) < (self._best.variables, self._best.error.mean)
+                and not self._beats(self._best, entry)
             ]
             if simpler:
                 self._best = self._leader(simpler)

@@ -201,11 +201,14 @@ def set_anew(residual: Sequence[FloatArray], deviations: Sequence[Deviation]) ->
 
 
 def _shared(own: FloatArray) -> float:
-    """Return what deviations have in common; 0 where chance would make them agree as well."""
+    """Return what deviations have in common; 0 where chance would make them agree as well.
+
+    Two trials cannot tell chance: what they agree on counts as common.
+    """
     from scipy.stats import ttest_1samp
 
     if len(own) < _FEWEST_AGREEING or np.ptp(own) == 0.0:
-        return float(np.mean(own)) if len(own) >= _FEWEST_AGREEING else 0.0
+        return float(np.mean(own))
     return float(np.mean(own)) if ttest_1samp(own, 0.0).pvalue <= criteria.DEVIATION_P else 0.0
 
 
@@ -287,7 +290,7 @@ def _looked_at_alone(
 ) -> _Alone | None:
     """Return what one kind makes up of the residual; None if that is little, or not to be told."""
     trials, blocks = len(residual), _DEVIATION_BLOCKS
-    if trials < _FEWEST_AGREEING or min(map(len, residual)) < blocks:
+    if trials < 2 or min(map(len, residual)) < blocks:
         return None
     every = output is None or kind in SIMULATED
     columns = slice(None) if every else slice(output, (output or 0) + 1)
@@ -346,21 +349,31 @@ def _cut(first: FloatArray, second: FloatArray, blocks: int) -> tuple[list[Float
     return np.array_split(first, blocks), np.array_split(second, blocks)
 
 
-def remaining(problem: Problem, z: FloatArray) -> tuple[Deviation, ...]:
-    """Return the deviations of a fit, less those whose place something else has taken."""
+def remaining(problem: Problem, z: FloatArray) -> tuple[tuple[Deviation, float], ...]:
+    """Return the deviations of a fit, less those whose place something else has taken, each with its mean.
+
+    The mean over all trials is 0 where chance would make them agree as well.
+    """
     count = len(problem.deviations)
     if count == 0:
         return ()
     own = problem.own_states(z).reshape(len(problem.data.trials), problem.own_size)[:, -count:]
     sizes = np.sqrt(np.mean(np.square(own), axis=0))
-    return tuple(one for one, size in zip(problem.deviations, sizes, strict=True) if size >= _NO_DEVIATION)
+    repeats = np.sqrt([trial.count for trial in problem.data.trials])
+    kept = []
+    for index, deviation in enumerate(problem.deviations):
+        if sizes[index] >= _NO_DEVIATION:
+            values = own[:, index] * deviation.sd / repeats
+            kept.append((deviation, _shared(values) if len(values) >= _FEWEST_AGREEING else 0.0))
+    return tuple(kept)
 
 
 def words(
-    one: Deviation,
+    deviation: Deviation,
     outputs: Sequence[tuple[str, str]],
     states: Sequence[str] = (),
     inputs: Sequence[tuple[str, str]] = (),
+    mean: float = 0.0,
 ) -> str:
     """Return a deviation in words.
 
@@ -370,17 +383,25 @@ def words(
         Names and units.
     states
         Names.
+    mean
+        Over all trials, in the unit of the deviation; 0 where they have none in common.
     """
-    if one.kind == "initial state" and one.output is not None:
-        state = states[one.output]
-        size = f"{one.sd:.2g} {dict(outputs).get(state, '')}".rstrip("1 ")
-        return f"the {state} that a trial begins with differs by trial (standard deviation {size})"
-    if one.kind == "start time" or one.output is None:
-        return f"the start time differs by trial (standard deviation {one.sd:.2g} s)"
-    kind = one.kind.removeprefix("input ")
-    name, unit = (outputs if kind == one.kind else inputs)[one.output]
-    size = f"{100.0 * one.sd:.2g} %" if kind == "gain" else f"{one.sd:.2g} {unit}".rstrip("1 ")
-    return f"{kind} at {name} differs by trial (standard deviation {size})"
+    names, unit = dict(outputs), ""
+    if deviation.kind == "initial state" and deviation.output is not None:
+        state = states[deviation.output]
+        subject, unit = f"the {state} that a trial begins with", names.get(state, "")
+    elif deviation.kind == "start time" or deviation.output is None:
+        subject, unit = "the start time", "s"
+    else:
+        kind = deviation.kind.removeprefix("input ")
+        name, unit = (outputs if kind == deviation.kind else inputs)[deviation.output]
+        subject, unit = f"{kind} at {name}", "%" if kind == "gain" else unit
+
+    def size(value: float) -> str:
+        return f"{100.0 * value if unit == '%' else value:.2g} {unit}".removesuffix(" 1").rstrip()
+
+    spread = f"standard deviation {size(deviation.sd)}"
+    return f"{subject} differs by trial ({f'mean {size(mean)}, ' if mean else ''}{spread})"
 
 
 def shape_of(kind: DeviationKind, simulated: FloatArray, time_s: FloatArray) -> FloatArray:

@@ -217,6 +217,9 @@ def rest_words(diagnosis: Diagnosis) -> str:
     """Return what is left, how much of it is predictable, and from what."""
     rest = diagnosis.rest
     size = f"{times_noise(rest.in_noise)} times the noise"
+    nested = None if rest.nested is None else times_noise(rest.nested)
+    if nested is not None and nested != times_noise(rest.in_noise):
+        size += f"; {nested} where the choice of causes has not seen the condition either"
     if rest.within_noise:
         return f"within the noise ({size})"
     text = f"{percent(rest.share_of_gap)} of the gap ({size})" if diagnosis.causes else size

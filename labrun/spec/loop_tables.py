@@ -164,15 +164,13 @@ class LoopTable(Table):
 class Track(Table):
     """Closed loops on a steered gait. Each condition says which controller is in charge.
 
-    A trial of which more than `max_missed_share` of the steps came too late is rejected. With `compiled` the steps are
-    taken by compiled code, for rates that Python does not hold.
+    A trial of which more than `max_missed_share` of the steps came too late is rejected.
     """
 
     rate_hz: Annotated[float, Field(gt=0, le=1000)]
     conditions: list[dict[str, Value]] = Field(min_length=1)
     order: Literal["shuffled", "as-listed"] = "shuffled"
     max_missed_share: Annotated[float, Field(ge=0, le=1)] = 0.05
-    compiled: bool = False
     loops: dict[str, LoopTable] = Field(min_length=1)
 
     @property

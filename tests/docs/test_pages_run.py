@@ -54,7 +54,6 @@ ENDINGS = {
 """Output by which a page shows that a command ends badly, with its exit code; all others must end well."""
 RUNS = ("run", "sweep", "cmaes", "track", "design")
 SLOW = (
-    "a-kilohertz.md",
     "a-scene-of-your-own.md",
     "buckling-fins.md",
     "closed-chains.md",

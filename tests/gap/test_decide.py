@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.gap.decide import beats, compare, leader, near_best, resamples, win_frequencies
+from labrun.gap.decide import (
+    beats,
+    chosen_without_each_unit,
+    compare,
+    leader,
+    near_best,
+    resamples,
+    win_frequencies,
+)
 
 
 @dataclass(frozen=True)
@@ -149,3 +157,19 @@ def test_a_candidate_that_is_always_best_always_wins_and_one_that_never_helps_ne
     drawn = resamples(strata, 50, rng)
     assert win_frequencies(base, errors, [(1, 0), (1, 1)], strata, drawn).tolist() == [1.0, 0.0]
     assert win_frequencies(base, errors[1:], [(1, 1)], strata, drawn).tolist() == [0.0]
+
+
+@given(tables())
+def test_the_choice_without_a_unit_does_not_depend_on_that_units_errors(table: Tables) -> None:
+    errors = np.vstack([table.base, table.errors])
+    complexity = [(0, 0), *table.complexity]
+    before = chosen_without_each_unit(errors, complexity, table.strata)
+    changed = errors.copy()
+    changed[:, 0] = -changed[:, 0]
+    assert chosen_without_each_unit(changed, complexity, table.strata)[0] == before[0]
+
+
+def test_a_candidate_that_wins_by_one_condition_alone_is_not_chosen_for_that_condition() -> None:
+    strata = np.arange(4)
+    errors = np.array([[0.0, 0.0, 0.0, 0.0], [-9.0, 0.0, 0.0, 0.0], [-0.5, -0.5, -0.6, -0.5]])
+    assert chosen_without_each_unit(errors, [(0, 0), (1, 0), (1, 1)], strata)[0] == 2

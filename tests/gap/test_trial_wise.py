@@ -1,5 +1,6 @@
 """What differs from trial to trial is told as such, and neither taken for noise nor for a cause common to all."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -44,16 +45,20 @@ def test_zeros_that_are_set_anew_are_no_cause() -> None:
     assert not found.causes
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="a bias of .1 rad that all trials share is taken up by zeros that differ by .014 rad: it leaves .33 times "
-    "the noise, of which the common bias closes 70 %, and is not accepted",
-)
-def test_a_bias_common_to_all_trials_stays_one() -> None:
-    found = diagnose_dataset(with_zeros_set_anew(recorded(nothing), 0.01, common=0.1), pendulum(), FEW)
-    assert found.differs
-    names = {str(found.causes[0].name), *map(str, found.causes[0].rivals)}
-    assert "bias at angle" in names
+def test_a_bias_common_to_all_trials_is_told_beside_zeros_that_are_set_anew() -> None:
+    data = with_zeros_set_anew(recorded(nothing), 0.01, common=0.1)
+    (sentence,) = diagnose_dataset(data, pendulum(), FEW).differs
+    mean = re.fullmatch(
+        r"bias at angle differs by trial \(mean (\S+) rad, standard deviation 0.01\d rad\)", sentence
+    )
+    assert mean is not None
+    assert float(mean[1]) == pytest.approx(0.1, abs=3 * 0.01 / np.sqrt(len(data.trials)))
+
+
+def test_a_deviation_without_unit_keeps_its_digits() -> None:
+    assert words(Deviation("bias", 0, 0.011), [("share", "1")]) == (
+        "bias at share differs by trial (standard deviation 0.011)"
+    )
 
 
 def never_repeated() -> Dataset:

@@ -15,7 +15,6 @@ from labrun.devices import (
     opened,
     streaming,
 )
-from labrun.devices.listening import Newest
 from labrun_plugins.optitrack.frame import BITSTREAM_CHANGED, EDIT_MODE, Frame
 from labrun_plugins.optitrack.handshake import Handshake
 from labrun_plugins.optitrack.messages import dotted
@@ -204,11 +203,6 @@ class OptiTrack:
         if not len(block):
             stream.check()
         return block
-
-    def show(self, newest: Newest | None) -> None:
-        """Put every sample there, too, as it comes; None ends it."""
-        if self._stream is not None:
-            self._stream.buffer.newest = newest
 
     def stop(self) -> None:
         """End collecting; Motive goes on to stream."""

@@ -7,8 +7,6 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray, Health, Samples, Trajectory
-from labrun.devices.compiled import CompiledSensor
-from labrun.models import native
 from labrun_plugins.dynamixel.settings import DynamixelSettings
 from labrun_plugins.simulated.device import SimulatedSettings
 from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
@@ -28,15 +26,6 @@ TORQUE_N_M_A = 1.8
 _STEP_S = 0.005
 _SUBSTEP_S = 0.005
 _TIMING = Timing(latency_s=0.001, jitter_s=0.0005, clock_offset_s=12.0, clock_drift=2e-5)
-
-
-def _whole_counts(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:  # noqa: ARG001
-    """Angles in steps of the register, as many as the first parameter says."""
-    for i in range(int(p[0])):
-        out[i] = round(x[i] / COUNT_RAD) * COUNT_RAD
-
-
-_ANGLES = native("model", _whole_counts)
 
 
 class SimulatedDynamixelSettings(DynamixelSettings, SimulatedSettings):
@@ -77,7 +66,6 @@ class SimulatedDynamixel(SimulatedJoints):
         frames = max(1, round(1.0 / (settings.command_hz * _SUBSTEP_S)))
         shaft = replace(SHAFT, frame_s=frames * _SUBSTEP_S)
         super().__init__(name, settings, context, signs, shaft, **sensor)
-        self._frame_s = 1.0 / settings.command_hz
         self._turn_rad = np.pi if settings.operating_mode == "position" else 256 * 2 * np.pi
         self._neutral_rad = {j: np.radians(table.neutral_deg) for j, table in settings.joints.items()}
 
@@ -123,16 +111,6 @@ class SimulatedDynamixelWithFeedback(SimulatedDynamixel, SimulatedSensor):
         """Return all samples since the last call. Raises DeviceError: not streaming, or no answer."""
         self._require_answer()
         return super().read()
-
-    def compiled(self) -> CompiledSensor | str:
-        """Return its compiled form; see `labrun.devices.compiled.CompiledStandIn`."""
-        if self._quantities != ("angle",):
-            return f"{self.name} streams more than angles"
-        return super().compiled()
-
-    def _compiled(self) -> CompiledSensor:
-        count = np.array([float(len(self.joints))])
-        return CompiledSensor(_ANGLES.address, count, (), self.joints, len(self.joints), 0)
 
     def _measure(self, time_s: FloatArray) -> FloatArray:
         measured = [self._measured(joint, time_s) for joint in self.joints]

@@ -2,14 +2,12 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import SIX_AXES, DeviceContext, FloatArray
-from labrun.devices.compiled import CompiledSensor
-from labrun.models import kernel, native
+from labrun.models import kernel
 from labrun_plugins.simulated.device import SimulatedSettings
 from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
 
@@ -64,25 +62,6 @@ class SimulatedForceTorque(SimulatedSensor):
         )
         _read(noise, felt, time_s, self._felt, self._constants)
         return noise
-
-    def _compiled(self) -> CompiledSensor:
-        felt = [float(len(self._felt)), *self._felt.astype(float)]
-        numbers = np.concatenate([self._constants.ravel(), felt])
-        return CompiledSensor(_SIX_AXES.address, numbers, self._felt_names, (), 6, 6)
-
-
-def _six_axes(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:  # noqa: ARG001
-    """As `_read`, for one sample: noise, offset, drift and resolution of each axis, and which axes are felt."""
-    drift = math.sin(2.0 * math.pi / _DRIFT_PERIOD_S * t)
-    for k in range(6):
-        out[k] = u[k] * p[k] + p[6 + k] + drift * p[12 + k]
-    for j in range(int(p[24])):
-        out[int(p[25 + j])] += x[j]
-    for k in range(6):
-        out[k] = round(out[k] / p[18 + k]) * p[18 + k]
-
-
-_SIX_AXES = native("model", _six_axes)
 
 
 @kernel

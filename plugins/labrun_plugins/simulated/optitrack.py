@@ -1,14 +1,12 @@
 """Stand-in for OptiTrack motion capture (two Prime 17W cameras, Motive)."""
 
 import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from pydantic import NonNegativeFloat
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray, Samples
-from labrun.devices.compiled import CompiledSensor
-from labrun.models import native
 from labrun_plugins.optitrack.settings import OptiTrackSettings
 from labrun_plugins.optitrack.stream import SEE_MARKERS, BodyAngles, channels_of
 from labrun_plugins.simulated.device import Faults, SimulatedSettings
@@ -79,9 +77,6 @@ class SimulatedOptiTrack(SimulatedSensor):
     def _blind_from_s(self) -> float:
         return min(super()._blind_from_s(), self.loses_at_s())
 
-    def _falls_blind(self) -> bool:
-        return super()._falls_blind() or self._lose_after_s is not None
-
     def _nothing_heard(self, now_s: float) -> Samples:
         lost_s = now_s - self.loses_at_s()
         if lost_s > self._lost_tracking_s and not self._silent():
@@ -98,14 +93,6 @@ class SimulatedOptiTrack(SimulatedSensor):
         poses[:, :, 3:] = _turned(poses[:, :, 3:], half_turn)
         return self._completed(poses)
 
-    def _compiled(self) -> CompiledSensor:
-        bodies = np.array([float(len(self.bodies)), _POSITION_SD_M, _ORIENTATION_SD_RAD])
-        return CompiledSensor(_POSES.address, bodies, self.feels, (), len(self.feels), 6 * len(self.bodies))
-
-    def completed(self, values: FloatArray) -> FloatArray:
-        """Return poses with the angles and markers that follow from them."""
-        return self._completed(values.reshape(len(values), len(self.bodies), _POSE_CHANNELS))
-
     def _completed(self, poses: FloatArray) -> FloatArray:
         count = len(poses)
         angles = self._angles.of(poses[:, :, 3:])
@@ -115,30 +102,6 @@ class SimulatedOptiTrack(SimulatedSensor):
             for offset in marker_places(markers)
         ]
         return np.column_stack([poses.reshape(count, -1), angles, *places])
-
-
-def _noisy_poses(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:  # noqa: ARG001
-    """Poses with noise in place and orientation: bodies, and both standard deviations."""
-    for body in range(int(p[0])):
-        at, draw = 7 * body, 6 * body
-        for i in range(3):
-            out[at + i] = x[at + i] + p[1] * u[draw + i]
-        a, b, c = (0.5 * p[2] * u[draw + 3], 0.5 * p[2] * u[draw + 4], 0.5 * p[2] * u[draw + 5])
-        qx, qy, qz, qw = x[at + 3], x[at + 4], x[at + 5], x[at + 6]
-        nx = qx + qw * a + b * qz - c * qy
-        ny = qy + qw * b + c * qx - a * qz
-        nz = qz + qw * c + a * qy - b * qx
-        nw = qw - (a * qx + b * qy + c * qz)
-        length = math.sqrt(nx * nx + ny * ny + nz * nz + nw * nw)
-        out[at + 3], out[at + 4], out[at + 5], out[at + 6] = (
-            nx / length,
-            ny / length,
-            nz / length,
-            nw / length,
-        )
-
-
-_POSES = native("model", _noisy_poses)
 
 
 def marker_places(count: int) -> FloatArray:

@@ -1,13 +1,12 @@
 """A simulated sensor: when it takes samples, when they arrive, with noise, quantization, range, losses and latency."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import Channel, DeviceContext, DeviceError, FloatArray, Samples, streaming
-from labrun.devices.compiled import Ahead, CompiledSensor
 from labrun.models import kernel
 from labrun_plugins.simulated.device import SimulatedDevice, SimulatedSettings
 
@@ -100,12 +99,6 @@ class SampleStream:
         self._last_seen = last
         return Arrivals(taken, device, arrived, lost)
 
-    def ahead(self, until_s: float, rng: np.random.Generator, extra_lost_share: float, draws: int) -> Ahead:
-        """Return what arrives up to a time, with as many standard normal numbers for each sample."""
-        here = self.arrived(until_s, rng, extra_lost_share)
-        noise = rng.standard_normal((len(here), draws))
-        return Ahead(here.taken_s, here.device_time_s, here.host_time_s, noise, here.lost)
-
 
 @kernel
 def _sent(
@@ -197,7 +190,6 @@ class SimulatedSensor(SimulatedDevice, ABC):
         self._has_clock = has_clock
         self._streaming = False
         self._last_heard_s = 0.0
-        self._delivered: Samples | None = None  # a block that a compiled dry run has measured already
 
     def reseed(self, seed: np.random.SeedSequence) -> None:
         """Take a new generator for noise, jitter and losses."""
@@ -224,9 +216,6 @@ class SimulatedSensor(SimulatedDevice, ABC):
         """Return all samples since the last call. Raises DeviceError: not streaming, or silent for too long."""
         self._require_open()
         streaming(self.name, self._streaming)
-        if self._delivered is not None:
-            block, self._delivered = self._delivered, None
-            return block
         now = self._clock.now()
         sent_until = min(now, self._blind_from_s())
         arrivals = self._stream.arrived(sent_until, self._rng, self._faults.drop_share)
@@ -236,36 +225,9 @@ class SimulatedSensor(SimulatedDevice, ABC):
         values, saturated = self.measure(arrivals.taken_s)
         return self._samples(arrivals, values, saturated)
 
-    def compiled(self) -> CompiledSensor | str:
-        """Return its compiled form, or why there is none; see `labrun.devices.compiled.CompiledStandIn`."""
-        if self._disturbed or self._falls_blind():
-            return f"{self.name} is to have faults"
-        return self._compiled() or f"{self.name} ({self.model}) has no compiled form"
-
-    def ahead(self, until_s: float, draws: int) -> Ahead:
-        """Return the samples that arrive up to a time."""
-        self._last_heard_s = until_s
-        return self._stream.ahead(until_s, self._rng, self._faults.drop_share, draws)
-
-    def completed(self, values: FloatArray) -> FloatArray:
-        """Return all channels, given those that were computed."""
-        return values
-
-    def deliver(self, block: Samples) -> None:
-        """Take what the next `read` returns."""
-        self._delivered = replace(block, saturated=self._clip(block.values))
-
     def _blind_from_s(self) -> float:
         """Return when its samples end, by the clock; inf if they never do."""
         return self._silent_from_s()
-
-    def _falls_blind(self) -> bool:
-        """Tell whether its samples are to end while it runs; it need not be open."""
-        return self._faults.stop_answering_after_s is not None
-
-    def _compiled(self) -> CompiledSensor | None:
-        """Return the compiled form of what `_measure` does; None if there is none."""
-        return None
 
     def measure(self, time_s: FloatArray) -> tuple[FloatArray, int]:
         """Return what the sensor reads at these times, shape (n, channels), and how many samples stand at its end.

@@ -51,11 +51,6 @@ class Shaft:
         """Return a shaft of the same delay and dynamics, without frames, steps and dead band."""
         return replace(self, step_rad=_NO_STEP_RAD, dead_band_rad=0.0, smooth=True)
 
-    def row(self, step_s: float, hold: int, sign: int) -> FloatArray:
-        """Return what a compiled dry run knows of it, see `labrun.devices.compiled.CompiledJoints`."""
-        numbers = [self.step_rad, self.dead_band_rad, self.speed_rad_s, float(hold), float(sign)]
-        return np.array([*transition(self.natural_hz, self.damping, step_s).ravel(), *numbers])
-
     def motion(
         self, joint: str, trajectory: Trajectory, from_rad: float, from_rad_s: float = 0.0
     ) -> Trajectory:
@@ -161,7 +156,6 @@ class SimulatedJoints(SimulatedDevice):
         if getattr(context.scene, "smooth_drives", False):
             shaft = shaft.smoothed()
         self._shaft = shaft
-        self._frame_s = shaft.frame_s
         self._motion: dict[str, tuple[float, Trajectory]] = {}
         self._commanded: dict[str, tuple[float, Trajectory]] = {}
 
@@ -193,31 +187,6 @@ class SimulatedJoints(SimulatedDevice):
             motion = self._shaft.motion(joint, command, *self._state(joint, start_s))
             self._commanded[joint] = (start_s, command)
             self._move(joint, motion, start_s)
-
-    def compiled_joints(self, step_s: float) -> FloatArray:
-        """Return the shafts' numbers; see `labrun.devices.compiled.CompiledJoints`."""
-        hold = max(1, round(self._frame_s / step_s))
-        return np.array([self._shaft.row(step_s, hold, self._signs[joint]) for joint in self.joints])
-
-    def joint_state(self, joint: str, time_s: float) -> tuple[float, float]:
-        """Return the shaft's angle (rad) and speed (rad/s) at a time."""
-        return self._state(joint, time_s)
-
-    def moved(self, joint: str, time_s: FloatArray, angle_rad: FloatArray, goal_rad: FloatArray) -> None:
-        """Take note of how a shaft moved, and of what it was told; it goes on to the last goal."""
-        start_s = float(time_s[0])
-        passed = time_s - start_s
-        told = Trajectory((joint,), passed, goal_rad[:, None])
-        self._commanded[joint] = (start_s, told)
-        speed = float((angle_rad[-1] - angle_rad[-2]) / (time_s[-1] - time_s[-2]))
-        last = Trajectory((joint,), np.zeros(1), goal_rad[-1:, None])
-        tail = self._shaft.motion(joint, last, float(angle_rad[-1]), speed)
-        motion = Trajectory(
-            (joint,),
-            np.concatenate([passed, passed[-1] + tail.time_s[1:]]),
-            np.concatenate([angle_rad, tail.angle_rad[1:, 0]])[:, None],
-        )
-        self._move(joint, motion, start_s)
 
     def safe_stop(self) -> None:
         """Hold every joint where it is now."""

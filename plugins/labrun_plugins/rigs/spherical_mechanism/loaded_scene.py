@@ -8,10 +8,9 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat
 
 from labrun.devices import FloatArray
-from labrun.devices.compiled import CompiledScene
 from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
-from labrun.models import Stepper, kernel, native
+from labrun.models import Stepper, kernel
 from labrun_plugins.simulated.bench import Bench, BenchSettings, model_beside
 
 _SCALE = Scale(coordinate=0.05, rate=1.0, acceleration=10.0, force=0.03, signal=0.4, time_s=0.5)
@@ -115,24 +114,6 @@ class SpmLoad(Bench):
             offset_deg=offset_deg,
         )
 
-    def compiled(self) -> CompiledScene | str:
-        """Return the bench from the last known point of its grid on; see `labrun.devices.compiled`."""
-        if self._hidden:
-            return "effects that are hidden in this scene have no compiled form"
-        mounted, start_s = self._mounted, math.inf if self._start_s is None else self._start_s
-        wander = _WANDER if mounted["moving"] and self._settings.noise else 0.0
-        numbers = [
-            self.step_s, *self._model.values, self._play, *self._offset, 1e-3 * mounted["load_g"],
-            mounted["load_from_s"], mounted["load_to_s"], start_s, wander, *self._phase,
-        ]  # fmt: skip
-        state = np.concatenate([self._stepper.state, self._horn, self._inputs_before[0]])
-        first = self._history.end - 1
-        return CompiledScene(_ADVANCED.address, state, np.array(numbers), first, self._history.newest)
-
-    def _adopt(self, state: FloatArray) -> None:
-        self._stepper.state = state[:4]
-        self._horn, self._inputs_before = state[4:6].copy(), state[6:11].copy()[None, :]
-
     def _advance(self, time_s: FloatArray) -> FloatArray:
         servos = self._servo(np.column_stack([self._drives[joint].angles(time_s) for joint in self.joints]))
         horns = _with_play(servos + self._offset, self._horn, self._play)
@@ -164,59 +145,11 @@ class SpmLoad(Bench):
 
 
 @kernel
-def _swung(
-    angle: float, rate: float, horn: float, horn_then: float, kg: float, kg_then: float,
-    pull: float, pull_then: float, p: Any,
-) -> tuple[float, float]:  # fmt: skip
-    """Return angle and rate of one axis a step later: ``loaded.toml``, by the classical method of order 4.
-
-    Horn, load and pull (of the second axis, negative) go straight to what they are then; `p` as of `_advanced`.
-    """
-    a, b, sum_a, sum_b = angle, rate, 0.0, 0.0
-    for stage in range(4):
-        share = 0.5 * ((stage + 1) // 2)
-        load = kg + share * (kg_then - kg)
-        aside = load * _GRAVITY * p[6] * (pull + share * (pull_then - pull))
-        topple = p[4] + load * _GRAVITY * p[5]
-        torque = p[1] * (horn + share * (horn_then - horn) - a) - p[2] * b + topple * math.sin(a) + aside
-        slope = torque / (p[3] + load * p[6] * p[6])
-        weight = 1.0 if stage in (0, 3) else 2.0
-        sum_a, sum_b = sum_a + weight * b, sum_b + weight * slope
-        reach = 0.5 * p[0] if stage < 2 else p[0]
-        a, b = angle + reach * b, rate + reach * slope
-    return angle + p[0] / 6.0 * sum_a, rate + p[0] / 6.0 * sum_b
-
-
-@kernel
 def _orientation(theta_1: float, theta_2: float) -> tuple[float, float, float, float]:
     """Return the quaternion x, y, z, w of the end-effector."""
     phi = -math.atan2(math.tan(theta_1), math.cos(theta_2))
     cy, sy, cx, sx = math.cos(theta_2 / 2), math.sin(theta_2 / 2), math.cos(phi / 2), math.sin(phi / 2)
     return cy * sx, sy * cx, -sy * sx, cy * cx
-
-
-def _advanced(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:  # noqa: ARG001
-    """One step of `SpmLoad._advance`.
-
-    State: that of the model, both horns, inputs before. Parameters: step, six of the model, play, offsets, load (kg),
-    its times, the recording's start, how far the pull wanders, its phases.
-    """
-    now_0, now_1 = u[2] + p[8], u[3] + p[9]
-    x[4] = min(max(x[4], now_0 - p[7]), now_0 + p[7])
-    x[5] = min(max(x[5], now_1 - p[7]), now_1 + p[7])
-    since_s = t - p[13] if math.isfinite(p[13]) else 0.0
-    load = p[10] if p[11] <= since_s < p[12] else 0.0
-    turn = 2.0 * math.pi * _WANDER_HZ * t
-    pull_0, pull_1 = 1.0 + p[14] * math.sin(turn + p[15]), 1.0 + p[14] * math.sin(0.83 * turn + p[16])
-    x[0], x[1] = _swung(x[0], x[1], x[6], x[4], x[8], load, x[9], pull_0, p)
-    x[2], x[3] = _swung(x[2], x[3], x[7], x[5], x[8], load, -x[10], -pull_1, p)
-    x[6], x[7], x[8], x[9], x[10] = x[4], x[5], load, pull_0, pull_1
-    out[0], out[1], out[2] = 0.0, 0.0, 0.0
-    out[3], out[4], out[5], out[6] = _orientation(x[0], x[2])
-    out[7], out[8], out[9], out[10], out[11] = x[0], x[2], u[2], u[3], load
-
-
-_ADVANCED = native("model", _advanced)
 
 
 @kernel

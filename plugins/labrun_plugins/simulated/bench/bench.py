@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import FloatArray, Trajectory
-from labrun.devices.compiled import CompiledScene
 from labrun.effects import AttachedEffect, Scale
 from labrun.errors import ExperimentError, SpecError
 from labrun.models import Model, Site
@@ -126,19 +125,6 @@ class Bench(ABC):
             times = np.arange(first, first + count, dtype=np.float64) * self.step_s
             self._history.append(self._advance(times))
         return self._history.at(columns, time_s)
-
-    def compiled(self) -> CompiledScene | str:
-        """Return the bench from the last known point of its grid on, or why it has no compiled form."""
-        return "this scene has no compiled form"
-
-    def adopt(self, scene: CompiledScene, rows: FloatArray) -> None:
-        """Take over what a compiled dry run has made of it: signals at the next points of the grid."""
-        self._history.append(rows)
-        self._adopt(scene.state)
-
-    def _adopt(self, state: FloatArray) -> None:
-        """Take over the state of the compiled form."""
-        raise NotImplementedError
 
     def _columns_of(self, signals: tuple[str, ...]) -> NDArray[np.int64]:
         known = self._wanted.get(signals)

@@ -1,1 +1,0 @@
-"""Loops whose steps are compiled: one kernel that looks, compares, learns and commands, in a dry run and on a bench."""
