@@ -7,14 +7,16 @@ library in one unit alone or in both. The rule of `labrun.gap.decide` chooses am
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Self, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, Scale
 from labrun.errors import RequestError
-from labrun.fit import Dataset, Each, FitTrial, Note, Problem, minimise, one_by_one, search, silent
+from labrun.fit import Dataset, Each, FitTrial, Jacobian, Note, Problem, minimise, one_by_one, search, silent
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import COMMON, Candidate, candidates, site_scales
@@ -200,16 +202,43 @@ class _Pair(Problem):
         if unit == SECOND:
             for place, slot, (low, high) in zip(self.places, self.slots, self.ends, strict=True):
                 parameters[place] = min(max(parameters[place] + parameters[slot], low), high)
-        of_effects = np.setdiff1d(np.arange(len(parameters)), self.slots)[len(self.model.parameters) :]
-        sizes = [
-            (unit_of_effect, parameter.neutral)
-            for effect, unit_of_effect in zip(self.effects, self.only, strict=True)
-            for parameter in effect.effect.parameters
-        ]
-        for index, (unit_of_effect, neutral) in zip(of_effects, sizes, strict=True):
+        for index, unit_of_effect, neutral in self._in_one_unit:
             if unit_of_effect not in (BOTH, unit) and neutral is not None:
                 parameters[index] = neutral
         return super().simulate(parameters, trial, own)
+
+    @cached_property
+    def _in_one_unit(self) -> list[tuple[int, str, float | None]]:
+        """Index among the parameters, unit, and neutral value of each parameter of the effects in one unit alone."""
+        indices = iter(
+            np.delete(np.arange(len(self.priors.values)), self.slots)[len(self.model.parameters) :]
+        )
+        return [
+            (int(next(indices)), unit, parameter.neutral)
+            for effect, unit in zip(self.effects, self.only, strict=True)
+            for parameter in effect.effect.parameters
+        ]
+
+    def jacobian(
+        self,
+        z: FloatArray,
+        residual: list[FloatArray] | None = None,
+        *,
+        central: bool = True,
+        moving: NDArray[np.bool_] | None = None,
+        beside: Jacobian | None = None,
+    ) -> Jacobian:
+        """Return residuals and their derivatives; those by a difference are those by its variable, in one unit."""
+        free = self.priors.free.tolist()
+        of, differences = ([free.index(place) for place in places] for places in (self.places, self.slots))
+        simulated = np.ones(self.size, dtype=bool) if moving is None else moving.copy()
+        simulated[differences] = False
+        jacobian = super().jacobian(z, residual, central=central, moving=simulated, beside=beside)
+        if beside is None:
+            for trial, shared in zip(self.data.trials, jacobian.shared, strict=True):
+                if trial.condition[UNIT] == SECOND:
+                    shared[:, differences] = shared[:, of]
+        return jacobian
 
 
 def _difference_of(name: str) -> str:

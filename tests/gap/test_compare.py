@@ -14,13 +14,20 @@ from labrun.report.gap_text import units_text
 from labrun.store import SignalInfo
 
 
-def unit(seed, **physics):
+def unit(seed, repeats=1, **physics):
     rng = np.random.default_rng(seed)
-    made = []
+    swings, conditions = [], []
     for release in (0.3, 0.8):
         time_s, angle = swing(release, duration_s=2.0, rate_hz=120.0, **physics)
-        made.append((time_s, angle + 2e-3 * rng.standard_normal(len(angle))))
-    return dataset_of(made)
+        for repeat in range(1, repeats + 1):
+            swings.append((time_s, angle + 2e-3 * rng.standard_normal(len(angle))))
+            conditions.append(({"release_rad": release}, repeat))
+    data = dataset_of(swings)
+    trials = [
+        replace(trial, condition=condition, repeat=repeat)
+        for trial, (condition, repeat) in zip(data.trials, conditions, strict=True)
+    ]
+    return replace(data, trials=tuple(trials))
 
 
 def compared(first, second, model=MODEL, **given):
@@ -82,8 +89,13 @@ def test_friction_that_both_units_have_and_the_model_lacks_is_compared():
     assert only.second / only.first == pytest.approx(1.5, rel=0.1)
 
 
-def test_two_recordings_of_one_unit_do_not_differ(plain):
-    found = compared(plain, unit(3))
+@pytest.mark.slow
+def test_two_recordings_of_one_unit_do_not_differ_without_repeats(plain):
+    assert compared(plain, unit(3)).differing == ()
+
+
+def test_two_recordings_of_one_unit_do_not_differ():
+    found = compared(unit(1, repeats=3), unit(3, repeats=3))
     assert found.differing == ()
     assert units_text(found).startswith("No parameter or effect differs beyond noise")
     damping = next(one for one in found.differences if one.parameter == "damping")
