@@ -12,6 +12,7 @@ from labrun.models.layout import Drive
 from labrun.models.mjcf.exporting import Exported, MjcfRange, mjcf_of, mjcf_ranges
 from labrun.models.mjcf.grip import with_grip_held
 from labrun.models.mjcf.inverse import Carried, RobotTerms, TipLoad, carried, robot_terms
+from labrun.models.mjcf.passive import PassiveForces, passive_forces
 from labrun.models.mjcf.regressor import InertialRegressor, LinkMotion
 from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, read_robot
 from labrun.models.mjcf.robot_table import robot_table
@@ -33,10 +34,12 @@ from labrun.models.simulation import (
 __all__ = [
     "Between", "Carried", "ClosedChain", "Condition", "Drive", "Exported", "FloatArray", "InertialRegressor", "Input",
     "LinkMotion", "MjcfRange",
-    "Model", "Motion", "NativeFunction", "Origin", "Output", "Parameter", "Pointer", "Robot", "RobotActuator",
+    "Model", "Motion", "NativeFunction", "Origin", "Output", "Parameter", "PassiveForces", "Pointer", "Robot",
+    "RobotActuator",
     "RobotJoint", "RobotTerms", "Simulation", "Site", "SiteKind", "Stepper", "TipLoad", "Unfiltered", "carried",
     "corrected_model_text", "filtered", "identifier", "is_robot", "kernel", "load_model", "measured_name",
-    "mjcf_of", "mjcf_ranges", "native", "natives", "observed", "parse_model", "prepare", "python_model", "read_robot",
+    "mjcf_of", "mjcf_ranges", "native", "natives", "observed", "parse_model", "passive_forces",
+    "prepare", "python_model", "read_robot",
     "robot_table", "robot_terms", "run_mjcf", "shipped_models", "simulate", "simulate_unfiltered", "site_course",
     "suggest_substeps", "with_grip_held",
 ]  # fmt: skip

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from labrun.errors import ModelError
-from labrun.models import load_model, mjcf_of, mjcf_ranges, simulate
+from labrun.models import (
+    load_model,
+    mjcf_of,
+    mjcf_ranges,
+    passive_forces,
+    read_robot,
+    robot_table,
+    simulate,
+)
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -22,6 +30,14 @@ EFFECTS = {
     "quadratic-drag": ("joint", "shoulder", {"coefficient": 0.1}, "damping"),
     "added-inertia": ("joint", "shoulder", {"inertia": 0.004}, "armature"),
     "rest-offset": ("joint", "shoulder", {"offset": 0.2}, "springref"),
+    "constant-force": ("joint", "shoulder", {"force": 0.6}, "biasprm"),
+    "asymmetric-stiffness": ("joint", "shoulder", {"excess": 5.0}, "solreflimit"),
+    "end-stop": (
+        "joint",
+        "shoulder",
+        {"upper": 0.3, "lower": "-inf", "stiffness": 20.0, "damping_time": 0.0},
+        "solreflimit",
+    ),
     "delay": ("input", "shoulder_command", {"delay": 0.03}, "delay"),
     "gain-error": ("input", "shoulder_command", {"error": -0.2}, "gainprm"),
     "bias": ("input", "shoulder_command", {"offset": 0.1}, "biasprm"),
@@ -48,18 +64,22 @@ def corrected(folder, effects, values=""):
     return load_model(folder / "corrected.toml")
 
 
-def both(model, xml):
-    """Return what labrun and MuJoCo alone say of a swing, at 100 Hz."""
+def both(model, xml, callback=None):
+    """Return what labrun and MuJoCo alone say of a swing, at 100 Hz; a callback is set once the file is loaded."""
     time_s = np.arange(0.0, 3.0, 0.01)
     goal = 0.7 * np.sin(2 * np.pi * 0.7 * time_s)
     own = simulate(model, time_s, goal[:, None], initial_state=[0.0, 0.0]).outputs[:, 0]
     native = mujoco.MjModel.from_xml_string(xml)
     data, alone = mujoco.MjData(native), []
-    for told in goal:
-        alone.append(float(data.qpos[0]))
-        data.ctrl[0] = told
-        for _ in range(round(0.01 / native.opt.timestep)):
-            mujoco.mj_step(native, data)
+    mujoco.set_mjcb_passive(callback)
+    try:
+        for command in goal:
+            alone.append(float(data.qpos[0]))
+            data.ctrl[0] = command
+            for _ in range(round(0.01 / native.opt.timestep)):
+                mujoco.mj_step(native, data)
+    finally:
+        mujoco.set_mjcb_passive(None)
     return own, np.array(alone)
 
 
@@ -182,3 +202,38 @@ def test_a_model_of_equations_has_no_mjcf(tmp_path):
     )
     with pytest.raises(ModelError, match="no model in MuJoCo"):
         mjcf_of(load_model(tmp_path / "a.toml"))
+
+
+def test_a_delay_is_written_in_seconds_and_for_which_time_step_it_holds(tmp_path):
+    exported = mjcf_of(corrected(tmp_path, ["delay"]))
+    assert "delay of actuator servo: 0.03 s" in exported.xml
+    assert "at the timestep 0.001 s" in exported.xml
+
+
+PASSIVE = {
+    "cubic-stiffness": "{ coefficient = 6.0 }",
+    "presliding-friction": "{ torque = 0.8, presliding = 0.05, static_excess = 0.2, stribeck_speed = 0.3 }",
+    "drive-play": "{ torque = 0.6 }",
+}
+
+
+@pytest.mark.parametrize("name", PASSIVE)
+def test_a_force_that_mjcf_has_no_word_for_is_a_passive_callback(tmp_path, name):
+    (tmp_path / "arm.xml").write_text(ARM)
+    (tmp_path / "model.toml").write_text(robot_table(read_robot(tmp_path / "arm.xml"), xml_file="arm.xml"))
+    (tmp_path / "corrected.toml").write_text(
+        f'base = "model.toml"\n[[effects]]\neffect = "{name}"\nsite = "shoulder"\nkind = "joint"\n'
+        f"values = {PASSIVE[name]}\n"
+    )
+    model = load_model(tmp_path / "corrected.toml")
+    exported = mjcf_of(model)
+    assert "labrun.models.passive_forces makes a callback of it" in exported.left[0]
+    own, alone = both(model, exported.xml, passive_forces(model))
+    _, without = both(model, exported.xml)
+    assert np.sqrt(np.mean((own - without) ** 2)) > 5 * NOISE_RAD, "the force is to be seen at all"
+    assert np.sqrt(np.mean((own - alone) ** 2)) < NOISE_RAD
+
+
+def test_a_file_that_says_everything_needs_no_callback(tmp_path):
+    with pytest.raises(ModelError, match="has no force that its MJCF cannot express"):
+        passive_forces(corrected(tmp_path, ["coulomb-friction"]))

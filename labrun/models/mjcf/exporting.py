@@ -28,11 +28,14 @@ class Exported:
         What of the correction is in it, and where; sentences.
     left
         What is not, with its law and values; sentences.
+    passive : (joint, effect)
+        Those of them that `labrun.models.passive_forces` makes a callback of.
     """
 
     xml: str
     written: tuple[str, ...]
     left: tuple[str, ...]
+    passive: tuple[tuple[str, AttachedEffect], ...] = ()
 
 
 def mjcf_of(model: Model) -> Exported:
@@ -76,11 +79,27 @@ def mjcf_of(model: Model) -> Exported:
     except ValueError as error:
         raise ModelError(f"MJCF cannot say a value of {model.name}: {error}") from None
     left: list[str] = []
+    passive: list[tuple[str, AttachedEffect]] = []
     for effect in model.effects:
-        told = _write(spec, compiled, model, effect)
-        (left if told is None else written).append(_law(effect) if told is None else told)
+        message = _write(spec, compiled, model, effect)
+        if message is not None:
+            written.append(message)
+            continue
+        left.append(_law(effect))
+        if effect.effect.kind == "joint" and not effect.effect.needs_acceleration:
+            passive.append((_joint_of(spec, compiled, model, effect).name, effect))
+            left[-1] += "; labrun.models.passive_forces makes a callback of it"
+    delays = [actuator for actuator in spec.actuators if getattr(actuator, "nsample", 0)]
+    if delays:
+        step_s = float(compiled.opt.timestep)
+        spec.comment = " ".join(
+            [f"delay of actuator {actuator.name}: {actuator.delay:.6g} s." for actuator in delays]
+            + [
+                f"nsample holds it at the timestep {step_s:g} s; at another one set nsample to delay/timestep + 2."
+            ]
+        )
     spec.compile()
-    return Exported(mjcf_text(spec), tuple(written), tuple(left))
+    return Exported(mjcf_text(spec), tuple(written), tuple(left), tuple(passive))
 
 
 def _with_values(model: MujocoModel) -> Any:
@@ -98,14 +117,82 @@ def _write(spec: Any, compiled: Any, model: MujocoModel, effect: AttachedEffect)
     """Write an effect; return where it stands, or None if MJCF has no word for it."""
     values = effect.named_values
     if effect.effect.kind == "joint":
-        place = model.layout.sites[[site.name for site in model.sites].index(effect.site)]
-        joint = spec.joints[int(compiled.dof_jntid[place.index])]
+        joint = _joint_of(spec, compiled, model, effect)
+        if effect.effect.id == "constant-force":
+            return _constant_force(spec, joint, values["force"])
+        if effect.effect.id in _STOPS:
+            return _stop(compiled, joint, *_STOPS[effect.effect.id](values))
         return _JOINT[effect.effect.id](joint, values) if effect.effect.id in _JOINT else None
     if effect.effect.kind == "input":
         place = model.layout.inputs[[one.name for one in model.inputs].index(effect.site)]
         if place.array == "ctrl" and effect.effect.id in _INPUT:
             return _INPUT[effect.effect.id](spec.actuators[place.index], values, compiled)
     return None
+
+
+def _joint_of(spec: Any, compiled: Any, model: MujocoModel, effect: AttachedEffect) -> Any:
+    """Return the joint of a description that an effect sits at."""
+    place = model.layout.sites[[site.name for site in model.sites].index(effect.site)]
+    return spec.joints[int(compiled.dof_jntid[place.index])]
+
+
+def _constant_force(spec: Any, joint: Any, force: float) -> str:
+    """Write a force that never changes: into the bias of the joint's drive, or as an actuator of its own."""
+    mujoco = imported()
+    for actuator in spec.actuators:
+        alone = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT and actuator.target == joint.name
+        known = actuator.biastype in (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
+        if alone and known and actuator.gear[0] and not any(actuator.forcerange):
+            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.biasprm[0] += force / actuator.gear[0]
+            return f"a constant force of {force:.6g} is in biasprm of actuator {actuator.name}"
+    own = spec.add_actuator(name=f"{joint.name}_constant_force", target=joint.name)
+    own.trntype, own.gaintype = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtGain.mjGAIN_FIXED
+    own.gainprm[0], own.biastype = 0.0, mujoco.mjtBias.mjBIAS_AFFINE
+    own.biasprm[0] = force
+    return (
+        f"a constant force of {force:.6g} is biasprm of a new actuator {own.name}; its control, the last one, does "
+        "nothing"
+    )
+
+
+_STOPS: Mapping[str, Callable[[Mapping[str, float]], tuple[float, float, float, float]]] = {
+    "end-stop": lambda values: (
+        values["lower"],
+        values["upper"],
+        values["stiffness"],
+        values["stiffness"] * values["damping_time"],
+    ),
+    "asymmetric-stiffness": lambda values: (-np.inf, 0.0, values["excess"], 0.0),
+}
+"""Springs on one side: where they begin below and above, stiffness, damping for each rad (m) that they are pressed."""
+_IMPEDANCE = 1e-3
+"""Impedance of a limit that is a spring: so low that its force adds to the others instead of replacing them."""
+_FAR = 1e6
+"""End of a range, rad or m, that no joint reaches."""
+
+
+def _stop(
+    compiled: Any, joint: Any, lower: float, upper: float, stiffness: float, damping: float
+) -> str | None:
+    """Write a spring on one side as a limit; None where it pulls, or the joint has limits already.
+
+    With a low impedance d, the limit's force is its reference acceleration, stiffness/d times depth, over its
+    regularisation, the joint's inverse inertia as compiled over d (MuJoCo, Computation, Solver parameters): what the
+    joint carries cancels.
+    """
+    number = compiled.joint(joint.name).id
+    if stiffness <= 0.0 or compiled.jnt_limited[number]:
+        return None
+    dof = int(compiled.jnt_dofadr[number])
+    mobility = float(np.ravel(compiled.dof_invweight0)[dof])
+    reach = upper - lower if np.isfinite([lower, upper]).all() else 1.0
+    joint.limited = 1
+    joint.range = [max(lower, -_FAR), min(upper, _FAR)]
+    joint.solref_limit = [-stiffness * mobility, -max(damping * reach * mobility, 1e-9)]
+    joint.solimp_limit = [_IMPEDANCE, _IMPEDANCE, 1e-3, 0.5, 2.0]
+    ends = " and ".join(f"{end:.6g}" for end in (lower, upper) if np.isfinite(end))
+    return f"a spring of {stiffness:.6g} beyond {ends} is range and solreflimit of joint {joint.name}"
 
 
 def _coulomb(joint: Any, values: Mapping[str, float]) -> str:
@@ -150,7 +237,8 @@ def _delay(actuator: Any, values: Mapping[str, float], compiled: Any) -> str:
     step_s = float(compiled.opt.timestep)
     actuator.delay = values["delay"]
     actuator.nsample = max(2, int(np.ceil(values["delay"] / step_s)) + 1)
-    return f"a delay of {1e3 * values['delay']:.4g} ms is delay of actuator {actuator.name}"
+    where = f"delay of actuator {actuator.name}, for a timestep of {step_s:g} s"
+    return f"a delay of {1e3 * values['delay']:.4g} ms is {where}"
 
 
 def _gain(actuator: Any, values: Mapping[str, float], _: Any) -> str:
