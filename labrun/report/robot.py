@@ -115,7 +115,12 @@ def _check_rows(check: FileCheck) -> list[list[str]]:
 def file_check_lines(check: FileCheck) -> list[str]:
     """Return a line a joint: errors of the stated, corrected and exported robot on data that the fit has not seen."""
     heading = f"on {check.pieces} pieces of the log, each simulated by a fit that has not seen it:"
-    return ["", heading, *aligned([list(_CHECK_HEADS), *_check_rows(check)])]
+    whole = [
+        f"the {kind} has {listed(written.of_the_whole, 'and')}"
+        for kind, written in (("model", check.model), ("file", check.file))
+        if written.of_the_whole
+    ]
+    return ["", heading, *aligned([list(_CHECK_HEADS), *_check_rows(check)]), *whole]
 
 
 def other_fit_lines(fit: OtherFit) -> list[str]:

@@ -102,6 +102,7 @@ def test_a_cause_that_is_not_there_is_left_out(tmp_path):
     check = check_file(robot, model, dataset, diagnosis({}, {}, [FRICTION]))
     assert [joint.exported_as for joint in check.joints] == ["as stated", "as stated"]
     assert check.file.effects == ()
+    assert check.file.of_the_whole == ()
     for joint in check.joints:
         assert joint.exported == joint.stated
 
