@@ -149,10 +149,10 @@ class _Pair(Problem):
         places = [int(priors.free[variable]) for variable in variables]
         parameters = self.model.parameters
         ends = [
-            (parameters[place].lower, parameters[place].upper)
-            if place < len(parameters)
+            (parameters[index].lower, parameters[index].upper)
+            if index < len(parameters)
             else (float(end[0]), float(end[1]))
-            for place, end in zip(places, np.column_stack(self._ends(variables)), strict=True)
+            for index, end in zip(places, np.column_stack(self._ends(variables)), strict=True)
         ]
         slots = range(count, count + len(variables))
         scale = priors.scale[list(variables)]
@@ -200,8 +200,8 @@ class _Pair(Problem):
         """Return the outputs (n, m) of one trial of its unit; None where they are not finite."""
         unit, parameters = self.data.trials[trial].condition[UNIT], parameters.copy()
         if unit == SECOND:
-            for place, slot, (low, high) in zip(self.places, self.slots, self.ends, strict=True):
-                parameters[place] = min(max(parameters[place] + parameters[slot], low), high)
+            for index, slot, (low, high) in zip(self.places, self.slots, self.ends, strict=True):
+                parameters[index] = min(max(parameters[index] + parameters[slot], low), high)
         for index, unit_of_effect, neutral in self._in_one_unit:
             if unit_of_effect not in (BOTH, unit) and neutral is not None:
                 parameters[index] = neutral
@@ -278,7 +278,7 @@ class _InUnit(Candidate):
 
     def added_to(self, problem: Problem) -> Problem:
         if self.attached is None or self.scale is None:
-            raise TypeError("an effect of one unit has a place")
+            raise TypeError("an effect of one unit has a site")
         return cast("_Pair", problem).with_effect_in(self.unit, self.attached, self.scale)
 
 
@@ -313,7 +313,7 @@ def compare_units(
     problem, z, noise = _common(model, data, rng, note)
     lacking = list[str]()
     for _ in range(criteria.MOST_CAUSES):
-        base = Base.of(problem, z)
+        base = Base.of(problem, z, brisk=True)
         units = Units.of(data, mean_residuals(problem, z))
         floor = floor_of(data, noise, rng) if noise.known else 0.0
         library = _library(problem, z)

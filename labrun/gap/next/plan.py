@@ -311,7 +311,7 @@ def _chosen(pool: Sequence[PlannedTrial], tried: Sequence[_Tried], imitation: Im
     """Return the trials that lower the sizes that are visible most for their time, one after the other."""
 
     def value(chosen: Sequence[int]) -> float:
-        strengths = [imitation.left(one.middle, chosen) ** 0.5 for one in tried]
+        strengths = [imitation.remaining(one.middle, chosen) ** 0.5 for one in tried]
         # what is far beyond visible, or far from it, need not become more so
         room = 0.1 * _PLANNED_SEEN, 20.0 * _PLANNED_SEEN
         return float(np.mean(np.log(np.clip(strengths, *room)))) if strengths else 0.0
@@ -350,7 +350,7 @@ def _held_against(
 def _visible(one: _Tried, imitation: Imitation, chosen: Sequence[int], units: Mapping[str, str]) -> Visible:
     """Return the size from which on the chosen trials show an effect; whether any trial of the pool would."""
     name, main, seen = Name(one.attached.effect.id, one.attached.site), one.main, _PLANNED_SEEN
-    strengths = np.sqrt([imitation.left(each, chosen) for each in one.changes])
+    strengths = np.sqrt([imitation.remaining(each, chosen) for each in one.changes])
     imitated = _imitated(one, strengths, chosen)
     if imitated or np.max(strengths) < seen:
         whole = max(float(each.squares[chosen].sum()) ** 0.5 for each in one.changes)
@@ -359,7 +359,7 @@ def _visible(one: _Tried, imitation: Imitation, chosen: Sequence[int], units: Ma
             "moves nothing here"
             if whole < seen
             else "parameters and initial states imitate it"
-            if imitated or max(imitation.left(each, every) for each in one.changes) < seen**2
+            if imitated or max(imitation.remaining(each, every) for each in one.changes) < seen**2
             else "only all trials together would show it"
         )
         return Visible(name, main.name, None, -1, why)
@@ -371,6 +371,6 @@ def _visible(one: _Tried, imitation: Imitation, chosen: Sequence[int], units: Ma
         size = float(np.exp((1 - part) * np.log(abs(one.sizes[first - 1])) + part * np.log(size)))
     elif np.isfinite(main.neutral if main.neutral is not None else 0.0):
         size *= seen / float(strengths[first])  # smaller than all that were tried, where effects are linear
-    alone = [imitation.left(one.changes[first], [index]) for index in chosen]
+    alone = [imitation.remaining(one.changes[first], [index]) for index in chosen]
     visible = ResampledNumber(size, size, size, units[main.name])
     return Visible(name, main.name, visible, int(np.argmax(alone)))

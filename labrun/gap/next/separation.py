@@ -210,7 +210,7 @@ class Imitation:
         pull = np.array([rows.T @ part for rows, part in zip(self._rows, parts, strict=True)])
         return Change(parts, pull, np.array([part @ part for part in parts]))
 
-    def left(self, change: Change, chosen: Sequence[int]) -> float:
+    def remaining(self, change: Change, chosen: Sequence[int]) -> float:
         """Return the sum of squares that the parameters cannot imitate: of the chosen trials, and what moving costs."""
         pull = change.pull[list(chosen)].sum(axis=0)
         moved = self.moved(change, chosen)
@@ -460,10 +460,10 @@ class Separation:
             return np.zeros(other.problem.size), [np.zeros(shape) for shape in shapes]
         imitation, change = self._imitation[other], self._changes[truth, other]
         moved = imitation.moved(change, chosen)
-        left = imitation.remainder(change, chosen, moved)
+        parts = imitation.remainder(change, chosen, moved)
         return moved, [
             np.square(part[: rows * columns].reshape(rows, columns)) / self._repeats
-            for part, (rows, columns) in zip(left, shapes, strict=True)
+            for part, (rows, columns) in zip(parts, shapes, strict=True)
         ]
 
     def doubt(self, index: int) -> float:
@@ -551,10 +551,11 @@ def _numbers(conditions: Sequence[Mapping[str, float | str]]) -> list[str]:
         name
         for name in first
         if all(
-            isinstance(one.get(name), float | int) and not isinstance(one[name], bool) for one in conditions
+            isinstance(condition.get(name), float | int) and not isinstance(condition[name], bool)
+            for condition in conditions
         )
     ]
-    varying = [name for name in names if len({one[name] for one in conditions}) > 1]
+    varying = [name for name in names if len({condition[name] for condition in conditions}) > 1]
     return varying or names
 
 
@@ -565,8 +566,8 @@ def _features(
 ) -> FloatArray:
     """Return the numbers of the conditions, and a constant where enough different ones were measured to tell it."""
     known = conditions if measured is None else measured
-    different = {tuple(one[name] for name in names) for one in known}
-    columns = [np.array([float(one.get(name, 0.0)) for one in conditions]) for name in names]
+    different = {tuple(condition[name] for name in names) for condition in known}
+    columns = [np.array([float(condition.get(name, 0.0)) for condition in conditions]) for name in names]
     if len(different) > len(names) + 1 or not names:
         columns.append(np.ones(len(conditions)))
     return np.column_stack(columns)
