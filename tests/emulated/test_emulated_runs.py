@@ -78,14 +78,15 @@ def difference(emulated, simulated, index, channel):
 
 def check_agreement(emulated, simulated, channel, bound, limit):
     assert len(emulated.outcomes) == len(simulated.outcomes) == limit
-    late_s = max(health.late_worst_s for health in command_health(emulated.events).values())
+    late_s = max((health.late_worst_s for health in command_health(emulated.events).values()), default=0.0)
     for ours, theirs in zip(emulated.outcomes, simulated.outcomes, strict=True):
         assert ours.condition == theirs.condition
         assert ours.status == theirs.status == "done"
         apart, rate = difference(emulated, simulated, ours.index, channel)
         # a set-point that leaves late shifts what follows in time
         assert apart < bound + late_s * rate, (
-            f"{ours.condition}: {apart} apart, set-points left up to {late_s} s late, and the channel changes by {rate} a second"
+            f"{ours.condition}: {apart} apart; set-points up to {late_s} s late, and the channel changes by {rate} "
+            "a second"
         )
     assert emulated.provenance["emulated"]
     assert not simulated.provenance["emulated"]
