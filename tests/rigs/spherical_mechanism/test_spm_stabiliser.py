@@ -129,8 +129,8 @@ def test_the_same_seed_shakes_the_same_way_and_another_seed_another_way():
 
 
 def _kinds(*kinds):
-    # Of 2e-5 kg m^2 on a stiff laminate, a second mass moves less than 0.5 % of the angle; a larger one than the bench has
-    # leaves its motor a negative inertia.
+    # Of 2e-5 kg m^2 on a stiff laminate, a second mass moves less than 0.5 % of the angle; a larger one than the bench
+    # has leaves its motor a negative inertia.
     two_mass = {"elastic-transmission", "gear-play"}
     usable = (effect for effect in effects() if effect.kind in kinds and "load" not in effect.needs)
     return sorted({effect.id for effect in usable} - two_mass)
