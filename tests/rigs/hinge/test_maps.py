@@ -182,6 +182,7 @@ def runs(tmp_path_factory):
     return found
 
 
+@pytest.mark.rendered
 def test_all_runs_together_give_the_benchs_own_maps_3_11_and_3_12(runs):
     width, *more = runs.values()
     result = fit(width, more=more)
