@@ -1,5 +1,6 @@
 """A robot diagnosed joint by joint, and where its answer is kept."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,11 +12,21 @@ from labrun.app.kept import FOLDER, as_texts, keep, kept_folder
 from labrun.app.progress_log import logged, progress_file
 from labrun.app.question import ask
 from labrun.fit import Dataset, Note, silent
-from labrun.gap import FileCheck, Options, RobotDiagnosis, check_file, diagnose_robot, require_new, why_not
+from labrun.gap import (
+    Diagnosis,
+    FileCheck,
+    Options,
+    RobotDiagnosis,
+    check_file,
+    diagnose_robot,
+    require_new,
+    why_not,
+)
 from labrun.gap import save_model as write_model
+from labrun.json_numbers import finite
 from labrun.models import Robot, read_robot, with_grip_held
 from labrun.report import file_check_lines, robot_lines
-from labrun.store import find_data, require_writable
+from labrun.store import find_data, replace_durably, require_writable, saving
 from labrun.workers import cores
 
 ROBOT = "robot.xml"
@@ -51,6 +62,21 @@ class StoredRobotDiagnosis:
         files = as_texts(stored=self.numbers, report=self.page, figure=self.figure, saved_model=self.model)
         check = {} if self.check is None else {"file_check": self.check.to_json()}
         return {**self.diagnosis.to_json(), **check, **files}
+
+
+class JointsDone:
+    """The joints that are diagnosed already, in a file of their own until the whole robot is."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self._answers: dict[str, Any] = {}
+
+    def keep(self, joint: str, answer: Diagnosis) -> None:
+        """Write a joint's answer beside those of the others, in the place of an earlier one."""
+        self._answers[joint] = answer.to_json()
+        self.file.parent.mkdir(parents=True, exist_ok=True)
+        with saving(self.file.name, self.file.absolute().parent):
+            replace_durably(self.file, (json.dumps(finite(self._answers), indent=2) + "\n").encode())
 
 
 def joint_by_joint(target: str | Path, results: str | Path = "results") -> str | None:
@@ -122,8 +148,11 @@ def diagnose_joints(
         within_s=float("inf") if within_s is None else within_s,
     )
     robot = robot_of(folder, question.dataset)
+    done = JointsDone(where.with_name(f"{where.name}-joints.json"))
     with logged(note, progress_file(where)) as both:
-        found = diagnose_robot(robot, question.model, question.dataset, options, note=both)
+        found = diagnose_robot(
+            robot, question.model, question.dataset, options, note=both, finished=done.keep
+        )
     found = replace(found, source=str(folder), remarks=(*robot.remarks, *found.remarks))
     numbers, check = found.to_json(), None
     if save_model is not None:
@@ -138,6 +167,7 @@ def diagnose_joints(
         return robot_page(found, check), robot_figure(found)
 
     kept = keep(where, numbers, question.model.source, drawn if page else None)
+    done.file.unlink(missing_ok=True)
     stored = StoredRobotDiagnosis(found, *kept, check=check)
     if save_model is None or check is None:
         return stored

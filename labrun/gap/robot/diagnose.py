@@ -1,7 +1,7 @@
 """A whole robot diagnosed: every joint by itself, then all that was found together in the whole robot."""
 
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -24,13 +24,25 @@ from labrun.workers import Pool, pool, spread
 
 OF_A_TORQUE = ("delay", "early-clock", "lag")
 """What a torque is not asked for at one joint: one that sticks brakes before it moves, which looks like a time."""
+Finished = Callable[[str, Diagnosis], None]
+"""Told of a joint's name and answer as soon as it is diagnosed; of some joints again, with what others say."""
 _CLOCKS = ("early-clock", "late-clock")
 """Of an encoder, and of its goals: beside the other, one is the other."""
 _NOT_LOOKED_FOR = "no cause was looked for"
 
 
+def _ignored(_joint: str, _answer: Diagnosis) -> None:
+    """Do nothing with a joint that is done."""
+
+
 def diagnose_robot(
-    robot: Robot, model: Model, dataset: Dataset, options: Options | None = None, *, note: Note = silent
+    robot: Robot,
+    model: Model,
+    dataset: Dataset,
+    options: Options | None = None,
+    *,
+    note: Note = silent,
+    finished: Finished = _ignored,
 ) -> RobotDiagnosis:
     """Say of every joint where model and log differ, which cause explains it, and how far.
 
@@ -45,6 +57,8 @@ def diagnose_robot(
         The model of the whole robot, as `labrun.models.load_model` makes it from that file.
     options
         ``workers`` joints are looked at at once, each in a process of its own.
+    finished
+        Called with each joint that is done, so that its answer can be kept before the others are.
 
     Raises
     ------
@@ -73,7 +87,7 @@ def diagnose_robot(
         links = links_that_explain(found, lacking, options.seed)
         for at in ([one for one in lacking if one not in links], *([one] for one in links)):
             around = found.with_links({other: by for other, by in links.items() if other not in at})
-            second = dict(zip(at, _looked(around, at, alone, there, note, deadline_s), strict=True))
+            second = dict(zip(at, _looked(around, at, alone, there, note, deadline_s, finished), strict=True))
             answers = [second.get(number, one) for number, one in enumerate(answers)]
         found = found.with_links(links)
         tip, place = found.tip, found.tip.far_end
@@ -84,7 +98,9 @@ def diagnose_robot(
                 "looking again at joints that carry more, for a load where all joints together tell it to be"
             )
             moved = found.with_load_at(tip.torque(better))
-            second = dict(zip(hanging, _looked(moved, hanging, alone, there, note, deadline_s), strict=True))
+            second = dict(
+                zip(hanging, _looked(moved, hanging, alone, there, note, deadline_s, finished), strict=True)
+            )
             if _explained_by_load(answers, hanging) < _explained_by_load(second, hanging):
                 answers = [second.get(number, one) for number, one in enumerate(answers)]
                 found, place = moved, better
@@ -93,7 +109,11 @@ def diagnose_robot(
         if again:
             note("looking again at joints that say something else, with base and load as others tell them")
             second = dict(
-                zip(again, _looked(among(found, whole), again, alone, there, note, deadline_s), strict=True)
+                zip(
+                    again,
+                    _looked(among(found, whole), again, alone, there, note, deadline_s, finished),
+                    strict=True,
+                )
             )
             answers = _explained_by_others(answers, second)
     if found.lead_s:
@@ -111,6 +131,7 @@ def _looked(
     there: Pool | None,
     note: Note,
     deadline_s: float,
+    finished: Finished = _ignored,
 ) -> list[tuple[OneJoint, Diagnosis]]:
     """Diagnose joints, on processes if there are some; the answers are the same and come in the joints' order."""
     if not places:
@@ -131,9 +152,14 @@ def _looked(
         for place, one in least.items()
     }
     answers: dict[int, Diagnosis] = {}
+    began = time.perf_counter()
 
     def told(text: str) -> None:
-        note(f"{len(answers)} of {len(joints)} joints{text}")
+        rest = len(joints) - len(answers)
+        left = ""
+        if answers and rest:
+            left = f", about {(time.perf_counter() - began) / len(answers) * rest:.0f} s left"
+        note(f"{len(answers)} of {len(joints)} joints done{left}{text}")
 
     def here() -> Iterator[tuple[int, Diagnosis]]:
         for place, one in joints.items():
@@ -145,12 +171,14 @@ def _looked(
     told("")
     for place, answer in here() if there is None else spread(there, jobs):
         answers[place] = _announced(answer, least[place], found.own.step_s)
-        told(f": {joints[place].joint.name} {answers[place].verdict}")
+        causes = " and ".join(cause.name.words for cause in answers[place].causes)
+        finished(joints[place].joint.name, answers[place])
+        told(f"; {joints[place].joint.name}: {causes or answers[place].verdict}")
     return [(one, answers[place]) for place, one in joints.items()]
 
 
 def _about(one: OneJoint, told: Note) -> Note:
-    return lambda text: told(f" done; {one.joint.name}: {text}")
+    return lambda text: told(f"; {one.joint.name}: {text}")
 
 
 def _least_gap(one: OneJoint, drawn: OneJoint) -> float:

@@ -150,6 +150,17 @@ def test_where_the_torque_is_logged_a_joint_is_asked_which_torque_its_motion_tak
     assert answer.causes[0].values["torque"].value == pytest.approx(friction, rel=0.05)
 
 
+def test_a_joint_that_is_done_is_told_with_the_time_that_the_others_take(tmp_path):
+    prepared = prescribed(*arm(tmp_path))
+    options, notes, done = Options(workers=1, places=False, brisk=True, least_gap=np.inf), [], {}
+    _looked(prepared, [0, 1], options, None, notes.append, np.inf, done.__setitem__)
+    assert list(done) == ["shoulder", "elbow"]
+    verdicts = {joint: answer.verdict for joint, answer in done.items()}
+    first = rf"1 of 2 joints done, about \d+ s left; shoulder: {verdicts['shoulder']}"
+    assert [note for note in notes if re.fullmatch(first, note)]
+    assert notes[-1] == f"2 of 2 joints done; elbow: {verdicts['elbow']}"
+
+
 def test_prescribed_motion_is_no_site(tmp_path):
     robot, model, dataset = arm(tmp_path)
     places = one_joint(prescribed(robot, model, dataset), 1).model.places
