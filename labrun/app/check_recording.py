@@ -168,6 +168,8 @@ def require_near(target: str | Path, *, results: str | Path = "results") -> None
     question = ask(folder, None)
     robot = robot_of(folder, question.dataset)
     goals = {one.joint for one in robot.actuators if one.command in ("position", "velocity")}
+    if not goals:
+        return
     still = {
         joint.output: _STILL * (joint.range[1] - joint.range[0]) if joint.range else _STILL_RAD
         for joint in robot.joints

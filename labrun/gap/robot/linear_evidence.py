@@ -11,9 +11,10 @@ from functools import cached_property
 import numpy as np
 
 from labrun.arrays import FloatArray, IntArray
+from labrun.gap import criteria
 
 _LEAST = 1e-12
-"""Mean squared residual, in units of what it is compared with, below which a prediction is exact."""
+"""Mean squared residual, in units of the gap, below which a prediction is exact."""
 _RIDGE = 1e-10
 """Precision of columns without a prior, in units of their own squares."""
 
@@ -236,21 +237,24 @@ class LinearEvidence:
         return replace(self, weights=independent / np.maximum(variance, 1e-300))
 
 
-def log_errors(errors: FloatArray, joints: IntArray, scale: FloatArray) -> FloatArray:
-    """Return the logarithm of the mean squared residual of every unit at some joints.
+def log_errors(errors: FloatArray, joints: Sequence[int], gap: FloatArray) -> FloatArray:
+    """Return the log error of every unit in which one of some joints moves, as `labrun.gap.evidence.error_of` does.
+
+    Each joint counts by the logarithm of its mean squared residual, with the error that idealised forms are allowed.
 
     Parameters
     ----------
     errors : (units, joints)
         Mean squared residuals, NaN where a joint rests.
-    scale : (joints,)
-        Mean squared residual of each joint that they are told in units of.
+    gap : (joints,)
+        Mean squared residual of each joint that causes are to explain.
     """
-    relative = errors[:, joints] / scale[joints]
-    seen = np.isfinite(relative)
-    mean = np.where(seen, relative, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
-    logs: FloatArray = np.log(np.maximum(mean, _LEAST))[seen.any(axis=1)]
-    return logs
+    chosen = list(joints)
+    form_error = criteria.EXPLAINED_REST**2 * gap[chosen]
+    logs = np.log(np.maximum(errors[:, chosen] + form_error, _LEAST * np.maximum(gap[chosen], _LEAST)))
+    seen = np.isfinite(logs)
+    mean: FloatArray = np.where(seen, logs, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    return mean[seen.any(axis=1)]
 
 
 def units_of(errors: FloatArray) -> IntArray:

@@ -318,7 +318,7 @@ class _Search:
         )
         gains = [
             sum(
-                float(np.mean(self.logs(before, [joint], before) - self.logs(after, [joint], before)))
+                float(np.mean(self.logs(before, [joint]) - self.logs(after, [joint])))
                 for joint in each[0].scope
             )
             for (each, _), after in zip(new, tables, strict=True)
@@ -326,13 +326,11 @@ class _Search:
         leaders = []
         for scope in dict.fromkeys(each[0].scope for each, _ in new):
             rows = [number for number, (each, _) in enumerate(new) if each[0].scope == scope]
-            base = self.logs(before, scope, before)
-            errors = np.array([self.logs(tables[number], scope, before) for number in rows])
+            base = self.logs(before, scope)
+            errors = np.array([self.logs(tables[number], scope) for number in rows])
             complexity = [self.complexity(*new[number]) for number in rows]
             row = decide.leader(errors, complexity, units_of(errors))
-            if decide.beats(errors[row], base, units_of(base)) and self.closes(
-                before, tables[rows[row]], scope, before
-            ):
+            if decide.beats(errors[row], base, units_of(base)):
                 leaders.append(rows[row])
         if not leaders:
             return []
@@ -361,19 +359,8 @@ class _Search:
         # the coefficients of a load are those of one thing: where it is, and how heavy
         return len(columns) + shapes, sum(one.rank for one in each)
 
-    def logs(self, errors: FloatArray, scope: Sequence[int], scale: FloatArray) -> FloatArray:
-        return log_errors(errors, np.array(scope), np.nanmean(scale, axis=0))
-
-    def closes(self, before: FloatArray, after: FloatArray, scope: Sequence[int], scale: FloatArray) -> bool:
-        """Tell whether a cause closes a share of the gap that matters, at one of its joints at least."""
-        for joint in scope:
-            gap, was, left = (
-                float(np.exp(0.5 * self.logs(errors, [joint], scale).mean()))
-                for errors in (self.recalibrated, before, after)
-            )
-            if was - left >= criteria.SHARE_OF_GAP * gap:
-                return True
-        return False
+    def logs(self, errors: FloatArray, scope: Sequence[int]) -> FloatArray:
+        return log_errors(errors, scope, np.nanmean(self.recalibrated, axis=0))
 
     def backward(self, causes: list[Candidate]) -> list[Candidate]:
         """Take out causes that predict no better by the rule, the least helpful first."""
@@ -387,14 +374,11 @@ class _Search:
                 others = _without(causes, candidate)
                 beside = self.active(others)
                 before = self.tightened(beside).unseen(beside)
-                base, with_it = (self.logs(errors, candidate.scope, after) for errors in (before, after))
+                base, with_it = (self.logs(errors, candidate.scope) for errors in (before, after))
                 possible = all(
                     _is_possible(self.found.columns[place], values[place]) for place in candidate.columns
                 )
-                helps = decide.beats(with_it, base, units_of(base)) and self.closes(
-                    before, after, candidate.scope, after
-                )
-                if not (possible and helps):
+                if not (possible and decide.beats(with_it, base, units_of(base))):
                     needless.append((float(np.mean(base - with_it)), others))
             if not needless:
                 break
@@ -435,9 +419,9 @@ class _Search:
         tables = self.admissible(
             evidence, active, [other.columns - known for other in rows], [candidate.scope] * len(rows), before
         )
-        errors = np.array([self.logs(table, candidate.scope, before) for table in tables])
+        errors = np.array([self.logs(table, candidate.scope) for table in tables])
         complexity = [self.complexity([other], other.columns - known) for other in rows]
-        return rows, errors, complexity, self.logs(before, candidate.scope, before)
+        return rows, errors, complexity, self.logs(before, candidate.scope)
 
     def rated(self, causes: Sequence[Candidate], candidate: Candidate, rng: np.random.Generator) -> Selected:
         """Return a cause with how often it wins, and its rivals."""

@@ -54,14 +54,15 @@ def logged_units(data: Regression) -> LoggedUnits:
     tables = [
         errors for errors, _ in evidence.unseen_with(beside, groups, [everywhere.tolist()] * len(groups))
     ]
-    base, *logs = (log_errors(errors, everywhere, np.nanmean(before, axis=0)) for errors in (before, *tables))
+    gap = np.nanmean(before, axis=0)
+    base, *logs = (log_errors(errors, everywhere.tolist(), gap) for errors in (before, *tables))
     table, units = np.array(logs), units_of(base)
     leader = decide.leader(table, [(len(group), 0) for group in groups], units)
     if leader != 0 or not decide.beats(table[0], base, units):
         return LoggedUnits(factors)
     active = np.concatenate([beside, scales])
     gains = 1.0 + evidence.fit(active)[scales]
-    needed = [_needs(evidence, active, place, number) for number, place in enumerate(scales)]
+    needed = [_needs(evidence, active, place, number, gap) for number, place in enumerate(scales)]
     names = data.log.joints
     flipped = [joints[number] for number in range(len(joints)) if needed[number] and gains[number] < 0.0]
     sentences = [f"joint {names[joint]} is reported with the opposite sign" for joint in flipped]
@@ -100,11 +101,10 @@ def _cautious(data: Regression) -> LinearEvidence:
     return evidence.reweighed(errors, share)
 
 
-def _needs(evidence: LinearEvidence, active: IntArray, place: int, number: int) -> bool:
+def _needs(evidence: LinearEvidence, active: IntArray, place: int, number: int, gap: FloatArray) -> bool:
     """Tell whether the scale of one joint is needed beside those of all others."""
-    scale = np.ones(len(evidence.grams))
-    with_it = log_errors(evidence.unseen(active), np.array([number]), scale)
-    without = log_errors(evidence.unseen(active[active != place]), np.array([number]), scale)
+    with_it = log_errors(evidence.unseen(active), [number], gap)
+    without = log_errors(evidence.unseen(active[active != place]), [number], gap)
     return decide.beats(with_it, without, units_of(without))
 
 
