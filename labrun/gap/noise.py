@@ -17,7 +17,7 @@ _LEAST_INNOVATION = 1e-6
 """Part of the variance that is left when a higher order of the predictor would be fitting rounding."""
 _MOST_STEPS = (80.0, 1.2816)
 """Percentile of the sizes of second differences that tells noise, and what it is of a normal variable."""
-_FEWEST_WITNESS_SAMPLES = 64
+_FEWEST_WITNESS_SAMPLES = 16
 """Shorter trials say nothing of the noise of a sample."""
 
 

@@ -283,16 +283,19 @@ class Selector:
             self._best = leader
 
     def _is_explained(self, model: CauseSet) -> bool:
-        """Tell whether nothing worth explaining is left: noise, or less of the gap than a cause has to close."""
+        """Tell whether nothing worth explaining is left: noise, or less of the gap than a cause has to close.
+
+        Where nothing but the residual tells the noise, that is no reason not to look for a cause.
+        """
         if self.noise.known and model.fitted <= self.floor**2:
             return True
-        return model.fitted < criteria.SHARE_OF_GAP * self.reference.fitted
+        return model is not self.reference and model.fitted < criteria.SHARE_OF_GAP * self.reference.fitted
 
     def _forward(self) -> None:
         """Add causes, or shapes of causes, one step after the other; the first two causes also only together.
 
-        Beside a cause of several parameters, what leads among those with fewer stays in the beam: with a further cause
-        it may explain as much by fewer parameters in all.
+        Beside a cause of several parameters, what predicts best with fewer stays in the beam: with a further cause it
+        may explain as much by fewer parameters in all.
         """
         beam, failed = [self.reference], False
         while len(self._best.candidates) < criteria.MOST_CAUSES:
@@ -306,7 +309,7 @@ class Selector:
             leader = self._leader(accepted or sets)
             if accepted:
                 simpler = [entry for entry in sets if entry.variables < leader.variables]
-                self._best, beam = leader, [leader, *([self._leader(simpler)] if simpler else [])]
+                self._best, beam = leader, [leader, *simpler[: criteria.BEAM - 1]]
                 continue
             simpler = [
                 entry

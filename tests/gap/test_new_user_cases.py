@@ -6,6 +6,7 @@ answer, and what stood in for it when it was tried with the whole library.
 
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -186,6 +187,54 @@ def test_linear_drag_in_place_of_the_models_quadratic_one_is_named() -> None:
     assert found.verdict in ("explained", "mostly-explained")
     (drag,) = [cause for cause in found.causes if cause.name.effect == "viscous-damping"]
     assert drag.values["coefficient"].value == pytest.approx(4.0, rel=0.1)
+
+
+# --- few samples a trial ---
+
+FALL = """
+name = "fall"
+states = ["height", "rate"]
+[parameters]
+gravity = { value = 9.81, tolerance = 0.001, unit = "m/s^2" }
+[equations]
+height = "rate"
+rate = "force.air - gravity"
+[outputs]
+height = { equation = "height", unit = "m" }
+[sites.air]
+kind = "joint"
+coordinate = "height"
+rate = "rate"
+[initial]
+height = "free"
+rate = "free"
+"""
+
+
+@pytest.mark.parametrize("count", [12, 40])
+def test_the_drag_of_falling_bodies_is_named_from_a_few_samples_a_drop(count: int) -> None:
+    rng, trials = np.random.default_rng(4), []
+    for number in range(5):
+        time_s = np.linspace(0.0, 2.0 + 0.2 * number, count)
+        height, rate, now, seen = 40.0 + number, 0.0, 0.0, []
+        for instant in time_s.tolist():
+            while now < instant:
+                rate += 1e-3 * (-9.81 - 0.35 * rate)
+                height += 1e-3 * rate
+                now += 1e-3
+            seen.append(height)
+        outputs = np.array(seen) + 0.02 * rng.standard_normal(count)
+        condition = {"drop": float(number)}
+        trials.append(
+            FitTrial(f"drop {number}", condition, 1, time_s, np.empty((count, 0)), outputs[:, None])
+        )
+    data = Dataset(
+        "fall", Path("fall"), "recording", (), (SignalInfo("height", "m", "linear"),), tuple(trials)
+    )
+    few = among("viscous-damping", "coulomb-friction", "added-stiffness")
+    found = diagnose_dataset(data, parse_model(FALL, "fall.toml"), few)
+    assert effects(found) == {"viscous-damping"}
+    assert found.causes[0].values["coefficient"].value == pytest.approx(0.35, rel=0.05)
 
 
 # --- a force that differs by condition ---
