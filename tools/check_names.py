@@ -1,0 +1,49 @@
+#!/usr/bin/env python3
+"""Report names that do not say what they hold: variables, parameters, attributes, functions and classes."""
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+BANNED = {"one", "found", "place", "told", "said", "begun", "beside"}
+CHECKED = ["labrun/toml"]  # files and folders, from the top of the project
+
+
+def names_bound_by(node: ast.AST) -> Iterator[str]:
+    """Yield the names that a node of the syntax tree introduces."""
+    match node:
+        case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
+            yield name
+        case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
+            yield name
+        case ast.arg(arg=name):
+            yield name
+        case ast.alias(name=name, asname=alias):
+            yield alias or name
+        case ast.ExceptHandler(name=str(name)) | ast.MatchAs(name=str(name)) | ast.MatchStar(name=str(name)):
+            yield name
+        case _:
+            pass
+
+
+def main() -> int:
+    """Print every banned name with its file and line; return 1 if any is left."""
+    project = Path(__file__).parents[1]
+    problems = 0
+    for root in CHECKED:
+        path = project / root
+        if not path.exists():
+            sys.exit(f"tools/check_names.py lists {root}, which does not exist; remove it from CHECKED")
+        for source in [path] if path.is_file() else sorted(path.rglob("*.py")):
+            for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+                for name in names_bound_by(node):
+                    if name in BANNED:
+                        line = getattr(node, "lineno", 0)
+                        print(f"{source.relative_to(project)}:{line}: rename {name!r} after what it holds")
+                        problems += 1
+    return int(problems > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
