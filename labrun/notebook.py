@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 
-def as_html(told: str, figure: Path | None = None) -> str:
+def as_html(text: str, figure: Path | None = None) -> str:
     """Return what a notebook shows of a result.
 
     `told`: what the terminal shows of it. `figure`: its picture, a PNG; left out if it is not there any more.
@@ -18,7 +18,7 @@ def as_html(told: str, figure: Path | None = None) -> str:
         picture = (
             f'<img src="data:image/png;base64,{data}" alt="figure of the result" style="max-width: 100%">'
         )
-    return f"<div>{picture}<pre>{escape(told)}</pre></div>"
+    return f"<div>{picture}<pre>{escape(text)}</pre></div>"
 
 
 def as_reported(words: str, *result: Any) -> str:

@@ -62,24 +62,24 @@ class PluginEntry:
 @lru_cache(maxsize=len(GROUPS))
 def _entries(group: str) -> dict[str, tuple[EntryPoint, Distribution | None]]:
     """Return entry points by name, each with the distribution that brings it."""
-    found = {entry.name: (entry, entry.dist) for entry in entry_points(group=group)}
-    return found | {entry.name: (entry, dist) for entry, dist in _of_rigs() if entry.group == group}
+    entries = {entry.name: (entry, entry.dist) for entry in entry_points(group=group)}
+    return entries | {entry.name: (entry, dist) for entry, dist in _of_rigs() if entry.group == group}
 
 
 @lru_cache(maxsize=1)
 def _of_rigs() -> list[tuple[EntryPoint, Distribution | None]]:
     """Return what the folders of all rigs declare; imports none of them."""
-    found = []
+    rigs = []
     for package in entry_points(group=RIGS):
         try:
             spec = find_spec(package.value)
         except ModuleNotFoundError as error:
             raise PluginError(f"the rigs of {_origin(package.dist)} cannot be found: {error}") from error
-        for place in (spec.submodule_search_locations or ()) if spec is not None else ():
-            for path in sorted(Path(place).glob(f"*/{RIG_FILE}")):
+        for location in (spec.submodule_search_locations or ()) if spec is not None else ():
+            for path in sorted(Path(location).glob(f"*/{RIG_FILE}")):
                 rig = f"{package.value}.{path.parent.name}"
-                found += [(entry, package.dist) for entry in _declared(path, rig)]
-    return found
+                rigs += [(entry, package.dist) for entry in _declared(path, rig)]
+    return rigs
 
 
 def _declared(path: Path, rig: str) -> Iterator[EntryPoint]:
@@ -180,11 +180,11 @@ def _load_dotted(kind: str, name: str) -> Any:
 
 def inspect_all() -> list[PluginEntry]:
     """Import every installed plugin of every group, and say which of them fail and why."""
-    found = []
+    inspected = []
     for entry in (entry for group in GROUPS for entry in installed(group)):
         try:
             load(entry.group, entry.name)
         except PluginError as error:
             entry = replace(entry, cause=str(error.args[0]))  # noqa: PLW2901
-        found.append(entry)
-    return found
+        inspected.append(entry)
+    return inspected

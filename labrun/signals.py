@@ -118,8 +118,8 @@ class Signals:
 
     def signal(self, name: str) -> Signal:
         """Return one column over time; RecordingError if there is none of that name."""
-        place = self._place(name)
-        return Signal(self.time_s, self.values[:, place], self.units[place])
+        column = self._place(name)
+        return Signal(self.time_s, self.values[:, column], self.units[column])
 
     def between(self, start_s: float, end_s: float) -> "Signals":
         """Return the samples from `start_s` to `end_s`, both included."""

@@ -52,11 +52,11 @@ def pool(workers: int, cluster: str | None) -> Iterator[Pool]:
     Raises RequestError: dask is not installed, or no scheduler answers.
     """
     if cluster is None:
-        with _processes(workers) as found:
-            yield found
+        with _processes(workers) as executor:
+            yield executor
     else:
-        with _dask(cluster) as found:
-            yield found
+        with _dask(cluster) as executor:
+            yield executor
 
 
 def spread(

@@ -149,14 +149,14 @@ def measure_all(
     if experiment.over and goal is not None:
         measures = OverSettings(session, settings, experiment.combine, goal[1])
 
-    def best_of(found: Sequence[Measured], level: Condition) -> Best | None:
+    def best_of(measured: Sequence[Measured], level: Condition) -> Best | None:
         if goal is None:
             return None
         progress.phase("fresh repeats of the leaders")
         guests = [{**guest, **level} for guest in experiment.leaders.guests]
         best = honest_best(
             measures,
-            found,
+            measured,
             objective=goal[0],
             goal=goal[1],
             unit=unit,
@@ -311,7 +311,7 @@ def finish(folder: RunFolder, answer: Answer, progress: Progress, draw: bool) ->
         **result.to_json(),
         "run": folder.path.name,
         "best": None if best is None else best.to_record(),
-        **({"winners": [one.to_record() for one in answer.winners]} if answer.winners else {}),
+        **({"winners": [winner.to_record() for winner in answer.winners]} if answer.winners else {}),
         "figure": None if figure is None else figure.name,
         "reasons": dict(result.reasons),
         "unsettled": result.unsettled,
@@ -342,7 +342,7 @@ def fitted(
     progress.phase("fitting")
     try:
         with handled() as interrupts, interrupts.raising():
-            found = fit(
+            fit_result = fit(
                 result.run, results=result.run.parent.parent, workspace=workspace, note=progress.phase
             )
     except LabrunError as error:
@@ -354,7 +354,7 @@ def fitted(
             ": the run is finished and kept, its fit is not",
             hint=f"labrun fit {result.run}",
         ) from None
-    return replace(result, more=(*result.more, "", found.to_text(), ""))
+    return replace(result, more=(*result.more, "", fit_result.to_text(), ""))
 
 
 def draw(folder: Path, best: Best | None, search: int = 0) -> Path | None:
@@ -407,10 +407,10 @@ def resumable(folder: RunFolder, *, stopped: str = "actuators are stopped, ") ->
     try:
         yield
     except KeyboardInterrupt as signal:  # between two measurements; during one the session sees to it
-        told = Interrupted(number_of(signal), f": {stopped}{_saved(folder)}", hint=_go_on(folder))
+        interruption = Interrupted(number_of(signal), f": {stopped}{_saved(folder)}", hint=_go_on(folder))
         _journal_end(folder, "interrupted", signal_name(number_of(signal)))
-        told.details.update(_so_far(folder))
-        raise told from signal
+        interruption.details.update(_so_far(folder))
+        raise interruption from signal
     except LabrunError as error:
         _journal_end(folder, "interrupted" if isinstance(error, Interrupted) else "failed", str(error))
         saved = _saved(folder) if isinstance(error, PlanError) else f"{_saved(folder)}; {_go_on(folder)}"

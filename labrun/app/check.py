@@ -135,8 +135,8 @@ def whole_plan(
     experiment = loaded.experiment
     planner = Planner(experiment, rig, motions)
     try:
-        found = _search_plan(experiment, planner) if experiment.kind == "cmaes" else None
-        asked = [] if found is not None else conditions(experiment, seed)
+        plan = _search_plan(experiment, planner) if experiment.kind == "cmaes" else None
+        asked = [] if plan is not None else conditions(experiment, seed)
         chosen = at_settings(asked, settings_of(experiment))
     except ConstraintError as error:
         raise SpecError(f"{loaded.place(error.key)}: {error}") from error
@@ -147,22 +147,22 @@ def whole_plan(
         recorder = ClosedLoopRecorder(experiment, planner.rig)
         recorder.require_makeable(chosen)
         columns_hz = recorder.columns_hz
-    found = _counted(
-        planner.plan(chosen, more_columns_hz=columns_hz) if found is None else found,
+    plan = _counted(
+        planner.plan(chosen, more_columns_hz=columns_hz) if plan is None else plan,
         experiment,
         chosen,
         len(asked),
     )
-    found = replace(found, notes=(*found.notes, *untared_objectives(experiment, planner.rig)))
+    plan = replace(plan, notes=(*plan.notes, *untared_objectives(experiment, planner.rig)))
     reference = experiment.trial.reference
-    beside = at_settings(
+    guests = at_settings(
         experiment.leaders.guests, at_settings(levels_of(experiment), settings_of(experiment))
     )
-    for one in [*beside, *([] if reference is None else [reference.condition])]:
-        excess = planner.excess_of(one)
+    for guest in [*guests, *([] if reference is None else [reference.condition])]:
+        excess = planner.excess_of(guest)
         if excess:
-            found = replace(found, excess=(*found.excess, ConditionExcess(one, tuple(excess))))
-    return found
+            plan = replace(plan, excess=(*plan.excess, ConditionExcess(guest, tuple(excess))))
+    return plan
 
 
 def _search_plan(experiment: Experiment, planner: Planner) -> Plan:
@@ -170,11 +170,11 @@ def _search_plan(experiment: Experiment, planner: Planner) -> Plan:
     assert experiment.cmaes is not None  # noqa: S101  (the file would not have loaded)
     allowed = allowed_points(experiment.cmaes)
     settings = at_settings(levels_of(experiment), settings_of(experiment))
-    found = planner.plan(at_settings(allowed.conditions or conditions(experiment), settings))
-    found = replace(found, excess=_of_candidates(found.excess, allowed.conditions, settings))
-    space = survey_space(experiment, allowed, found, excess_at_settings(planner.excess_of, settings))
-    outside = {id(item) for item in at_points(found.excess, allowed.conditions)}
-    return replace(found, space=space, excess=tuple(item for item in found.excess if id(item) not in outside))
+    plan = planner.plan(at_settings(allowed.conditions or conditions(experiment), settings))
+    plan = replace(plan, excess=_of_candidates(plan.excess, allowed.conditions, settings))
+    space = survey_space(experiment, allowed, plan, excess_at_settings(planner.excess_of, settings))
+    outside = {id(item) for item in at_points(plan.excess, allowed.conditions)}
+    return replace(plan, space=space, excess=tuple(item for item in plan.excess if id(item) not in outside))
 
 
 def _of_candidates(
@@ -185,15 +185,15 @@ def _of_candidates(
     if not names:
         return tuple(excess)
     known = {condition_key(candidate) for candidate in candidates}
-    found: dict[object, ConditionExcess] = {}
+    excesses: dict[object, ConditionExcess] = {}
     for item in excess:
         own = {name: value for name, value in item.condition.items() if name not in names}
         key = condition_key(own)
-        found.setdefault(key, ConditionExcess(own, item.excess) if key in known else item)
-    return tuple(found.values())
+        excesses.setdefault(key, ConditionExcess(own, item.excess) if key in known else item)
+    return tuple(excesses.values())
 
 
-def _counted(found: Plan, experiment: Experiment, chosen: Sequence[Condition], count: int) -> Plan:
+def _counted(plan: Plan, experiment: Experiment, chosen: Sequence[Condition], count: int) -> Plan:
     """Count every trial of the run: references and the honest best as well, and all that a search may take.
 
     `chosen` are its conditions, at each setting; without the settings there are `count` of them.
@@ -202,7 +202,7 @@ def _counted(found: Plan, experiment: Experiment, chosen: Sequence[Condition], c
     own = chosen[:count]  # as many as there are without settings: they are counted alone
     least = most_trials(experiment, own, repeats=repeats.min)
     most = most_trials(experiment, own)
-    notes = found.notes
+    notes = plan.notes
     written = "count" in experiment.leaders.model_fields_set
     if experiment.goal is not None and chosen and count < leaders and written:
         notes = (
@@ -219,13 +219,13 @@ def _counted(found: Plan, experiment: Experiment, chosen: Sequence[Condition], c
         some = "1 mounting" if count == 1 else f"{count} mountings"
         notes = (*notes, f"{some} of {what} by hand: how long that takes is not counted")
     return replace(
-        found,
+        plan,
         trials=least,
         trials_at_most=most,
-        time_s=found.time_s / found.trials * least,
-        time_at_most_s=found.time_at_most_s / found.trials_at_most * most,
-        disk_bytes=int(found.disk_bytes / found.trials * least),
-        disk_kept_bytes=int(found.disk_kept_bytes / found.trials * least),
+        time_s=plan.time_s / plan.trials * least,
+        time_at_most_s=plan.time_at_most_s / plan.trials_at_most * most,
+        disk_bytes=int(plan.disk_bytes / plan.trials * least),
+        disk_kept_bytes=int(plan.disk_kept_bytes / plan.trials * least),
         notes=notes,
     )
 

@@ -114,8 +114,8 @@ def compare(
     note(f"reading {folder}")
     if against is None:
         given = None if model is None else named_model(model, workspace)
-        found, wired = held_against(folder, given, workspace)
-        comparison = _beside_model(folder, found, {**wired, **(signals or {})})
+        simulated, wired = held_against(folder, given, workspace)
+        comparison = _beside_model(folder, simulated, {**wired, **(signals or {})})
     else:
         with open_run(folder) as data, open_run(against) as held:
             pairs, notes = paired(data, held)
@@ -128,7 +128,7 @@ def compare(
     stem = stem_of(comparison.prediction)
     figure = save_figure(draw_figure(comparison_figure(comparison)), kept / f"{stem}.png")
     numbers = kept / f"{stem}.json"
-    sources = {"source": str(folder), "against": str(against or found.source)}
+    sources = {"source": str(folder), "against": str(against or simulated.source)}
     record = json.dumps({**comparison_json(comparison), **sources}, indent=2)
     numbers.write_text(record + "\n", encoding="utf-8")
     return StoredComparison(comparison, numbers, figure)
@@ -138,17 +138,17 @@ def _by_role(
     target: str | Path, other: str | Path | None, results: Path
 ) -> tuple[str | Path, str | Path | None]:
     """Return data and prediction where they are named as ``rig:RUN`` and ``design:RUN``, in either order."""
-    named = [(one, *_role(one)) for one in (target, other) if one is not None]
+    named = [(run, *_role(run)) for run in (target, other) if run is not None]
     roles = [role for _, role, _ in named]
     if not any(roles):
         return target, other
     if sorted(roles) != ["design", "rig"]:
         raise RequestError(
-            f"{' '.join(str(one) for one, _, _ in named)}: one run is the design's, one the rig's",
+            f"{' '.join(str(run) for run, _, _ in named)}: one run is the design's, one the rig's",
             hint="labrun compare design:swimmer rig:rowing",
         )
-    found = {role: name for _, role, name in named}
-    for role, name in found.items():
+    names = {role: name for _, role, name in named}
+    for role, name in names.items():
         folder = find_data(name, results)
         kind = (
             ""
@@ -156,11 +156,11 @@ def _by_role(
             else str(tomllib.loads(open_run(folder).experiment_toml).get("kind", ""))
         )
         if (kind == "design") != (role == "design"):
-            said = "is a design: it was simulated" if kind == "design" else "is no design"
+            mismatch = "is a design: it was simulated" if kind == "design" else "is no design"
             raise RequestError(
-                f"{role}:{name}: {folder} {said}", hint="labrun compare design:swimmer rig:rowing"
+                f"{role}:{name}: {folder} {mismatch}", hint="labrun compare design:swimmer rig:rowing"
             )
-    return found["rig"], found["design"]
+    return names["rig"], names["design"]
 
 
 def _role(target: str | Path) -> tuple[str, str]:
@@ -188,11 +188,11 @@ def _require_signals(folder: Path, model: Model) -> None:
     recording = read_recording(folder)
     if recording.inputs or any(len(trial.time_s) > 1 for trial in recording.trials):
         return
-    driven = ", ".join(one.name for one in model.inputs)
+    driven = ", ".join(signal.name for signal in model.inputs)
     raise RequestError(
         f"{folder.name} is a table of numbers, and {model.name} predicts signals from {driven}, which it does not have",
         hint=f"hold a run beside the table, labrun compare RUN {folder.name}; or name a model that predicts "
-        f"{', '.join(one.name for one in recording.outputs)} from conditions alone",
+        f"{', '.join(output.name for output in recording.outputs)} from conditions alone",
     )
 
 

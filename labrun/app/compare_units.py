@@ -45,7 +45,7 @@ def compare_units(
     RequestError
         No such data or model, the same data twice, or two that were not recorded alike.
     """
-    folders = [find_data(one, Path(results)) for one in (first, second)]
+    folders = [find_data(folder, Path(results)) for folder in (first, second)]
     if folders[0].resolve() == folders[1].resolve():
         raise RequestError(f"{folders[0]} was named twice", hint="name the two runs or recordings to compare")
     questions: list[Question] = []

@@ -114,9 +114,9 @@ def design(
     with (
         handled() as interrupts,
         interrupts.held(),
-        SilentProgress() if progress is None else progress as told,
+        SilentProgress() if progress is None else progress as reporter,
     ):
-        told.phase("checking the design")
+        reporter.phase("checking the design")
         with interruptible():
             simulator = simulator_of(loaded.experiment, loaded.path)
             share = require_simulable(simulator)
@@ -130,10 +130,10 @@ def design(
         folder = RunFolder.create(Path(results), loaded.name, loaded.resolved_toml, origin)
         for name, text in texts.items():
             replace_durably(folder.path / f"template-{name}.toml", text.encode())
-        told.note(f"{100 * share:.2g} % of the space satisfies the constraints known beforehand")
+        reporter.note(f"{100 * share:.2g} % of the space satisfies the constraints known beforehand")
         return go_on(
             simulator, folder, seed=seed, workers=workers, cluster=cluster, limit=limit,
-            workspace=Path(workspace), progress=told, draw=draw,
+            workspace=Path(workspace), progress=reporter, draw=draw,
         )  # fmt: skip
 
 
@@ -166,12 +166,12 @@ def design_plan(loaded: LoadedExperiment) -> Plan:
     )
 
 
-def simulator_of(experiment: Experiment, beside: Path) -> Simulator:
+def simulator_of(experiment: Experiment, relative_to: Path) -> Simulator:
     """Return what simulates the candidates of an experiment, whose file stands at `beside`."""
     if experiment.design is None:
         raise PlanError("the experiment has no table [design]", hint='it needs one with kind = "design"')
     given = experiment.design.model
-    path = find_model_file(given, beside, Path())
+    path = find_model_file(given, relative_to, Path())
     return Simulator(experiment, given if path is None else str(path.resolve()))
 
 
@@ -195,9 +195,9 @@ def go_on(
     name, direction = goal
     search = folder.path / "search"
     with handled() as interrupts, folder.lock(), resumable(folder, stopped=""), interrupts.raising():
-        with _opened(workers, cluster) as found:
+        with _opened(workers, cluster) as executor:
             candidates = Candidates(
-                simulator, folder, found,
+                simulator, folder, executor,
                 seed=seed, progress=progress, generations=read_generations(search), limit=limit,
             )  # fmt: skip
             try:
@@ -231,13 +231,13 @@ def _opened(workers: int | None, cluster: str | None) -> Iterator[Pool | None]:
     if cluster is None and count == 1:
         yield None
         return
-    with pool(count, cluster) as found:
-        yield found
+    with pool(count, cluster) as executor:
+        yield executor
 
 
 def _unit(simulator: Simulator, objective: str) -> str:
     table = simulator.experiment.objectives[objective]
-    units = {one.name: one.unit for one in simulator.loaded.outputs}
+    units = {output.name: output.unit for output in simulator.loaded.outputs}
     return make_objective(objective, table).unit(units.get((table.channel or "").partition(".")[2], "1"))
 
 
@@ -302,8 +302,8 @@ def _handed_on(
             "parameters": simulator.parameters(values),
             "objectives": dict(nominal.objectives),
             "constraints": [
-                {"text": one.text, "value": one.value, "bound": one.bound, "active": one.active}
-                for one in nominal.margins
+                {"text": margin.text, "value": margin.value, "bound": margin.bound, "active": margin.active}
+                for margin in nominal.margins
             ],
         }
         replace_durably(run / "design.json", (json.dumps(numbers, indent=2) + "\n").encode())
@@ -326,7 +326,7 @@ def _handed_on(
         replace_durably(run / f"{name}.toml", text.encode())
         target, yours = _place_of(name, workspace)
         try:
-            loads_experiment(text, name, beside=target)
+            loads_experiment(text, name, relative_to=target)
         except RequestError as error:
             progress.note(
                 f"{target} stays as it is: with the values of this design it would be refused; mend "
@@ -352,7 +352,7 @@ def _place_of(name: str, workspace: Path) -> tuple[Path, bool]:
     What ``labrun init`` copied and nobody changed is no one's: the design takes its place.
     """
     places = [workspace / "experiments" / f"{name}.toml", workspace / f"{name}.toml"]
-    target = next((one for one in places if one.is_file()), places[-1])
+    target = next((location for location in places if location.is_file()), places[-1])
     if not target.is_file():
         return target, False
     text, shipped = target.read_text(encoding="utf-8"), shipped_experiments() / f"{name}.toml"
@@ -360,12 +360,12 @@ def _place_of(name: str, workspace: Path) -> tuple[Path, bool]:
     return target, not (copied or text.startswith(MADE))
 
 
-def _templates(experiment: Experiment, beside: Path, workspace: Path) -> dict[str, str]:
+def _templates(experiment: Experiment, relative_to: Path, workspace: Path) -> dict[str, str]:
     """Return the text of each experiment that will be written anew for the rig of the design, checked."""
     table = experiment.design
     texts: dict[str, str] = {}
     for name, written in ({} if table is None else table.writes).items():
-        near = beside.parent / f"{written.template}.toml"
+        near = relative_to.parent / f"{written.template}.toml"
         path = near if near.is_file() else find_experiment(written.template, workspace)
         try:
             load_experiment(path)
@@ -373,7 +373,7 @@ def _templates(experiment: Experiment, beside: Path, workspace: Path) -> dict[st
             raise RequestError(f"design.writes.{name}.template: {error}", hint=error.hint) from error
         texts[name] = path.read_text(encoding="utf-8")
         assert table is not None  # noqa: S101  (there would be nothing to write)
-        start = {one: float(variable.start) for one, variable in table.variables.items()}
+        start = {variable_name: float(variable.start) for variable_name, variable in table.variables.items()}
         written_experiment(
             written,
             texts[name],

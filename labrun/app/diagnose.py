@@ -133,7 +133,7 @@ def diagnose(
     """
     results, workspace = Path(results), Path(workspace)
     folder = find_data(target, results)
-    further = [find_data(one, results) for one in more]
+    further = [find_data(extra, results) for extra in more]
     if save_model is not None:
         require_new(save_model)
     where = kept_folder(folder, results, FOLDER)
@@ -149,8 +149,8 @@ def diagnose(
         within_s=float("inf") if within_s is None else within_s,
     )
     with logged(note, progress_file(where)) as both:
-        found = diagnose_dataset(question.dataset, question.model, options, note=both, began=began)
-    diagnosis = replace(found, source=str(folder))
+        dataset = diagnose_dataset(question.dataset, question.model, options, note=both, began=began)
+    diagnosis = replace(dataset, source=str(folder))
     note("writing the report" if page else "storing the diagnosis")
     stored = store(diagnosis, where, page=page, source=question.model.source)
     if diagnosis.law is not None and diagnosis.law.terms:

@@ -79,7 +79,7 @@ def fit(
     """
     results, workspace = Path(results), Path(workspace)
     folder = find_data(target if data is None else data, results)
-    further = tuple(find_data(one, results) for one in more)
+    further = tuple(find_data(extra, results) for extra in more)
     if isinstance(model, str) and is_method(model):
         method, model = model, None
     plan = None if data is None else _lent_plan(str(target), folder, workspace, need_model=model is None)
@@ -99,8 +99,8 @@ def fit(
     remarks: list[str] = list(doubts(read_recording(folder))) if is_recording(folder) else []
 
     def check(data: Dataset) -> Dataset:
-        kept, told = checked_trials(data)
-        remarks.extend(told)
+        kept, messages = checked_trials(data)
+        remarks.extend(messages)
         return kept
 
     job = FitJob(folder, rng, further, given or plan.model, wired, starts, note, plan.settings_of, check)

@@ -34,10 +34,10 @@ def keep(
     try:
         _put_aside(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        told = finite(dict(numbers))
+        values = finite(dict(numbers))
         if source is not None:
-            told["model_source"] = str(Path(source).resolve()) if Path(source).is_file() else str(source)
-        replace_durably(folder / NUMBERS, (json.dumps(told, indent=2) + "\n").encode())
+            values["model_source"] = str(Path(source).resolve()) if Path(source).is_file() else str(source)
+        replace_durably(folder / NUMBERS, (json.dumps(values, indent=2) + "\n").encode())
         if drawn is None:
             return folder / NUMBERS, None, None
         # matplotlib

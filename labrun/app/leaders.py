@@ -53,8 +53,10 @@ def with_leaders(loaded: LoadedExperiment, results: Path, *, planned: bool = Fal
         return loaded
     tree = tomllib.loads(loaded.resolved_toml)
     if isinstance(listed, LeadersOf):
-        found, tree["run"]["taken_from"] = _taken(listed, loaded, results, planned=planned)
-        tree["run"]["conditions"] = [{NUMBER: float(number), **one} for number, one in enumerate(found, 1)]
+        points, tree["run"]["taken_from"] = _taken(listed, loaded, results, planned=planned)
+        tree["run"]["conditions"] = [
+            {NUMBER: float(number), **condition} for number, condition in enumerate(points, 1)
+        ]
     if isinstance(beside, LeadersOf):
         tree["leaders"]["beside"], tree["leaders"]["taken_from"] = _taken(
             beside, loaded, results, planned=planned
@@ -85,13 +87,13 @@ def _taken(
     asked: LeadersOf, loaded: LoadedExperiment, results: Path, *, planned: bool
 ) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
     """Return the leaders that are asked for, and the runs they are of."""
-    found: list[dict[str, Any]] = []
+    taken: list[dict[str, Any]] = []
     sources = []
     for name in asked.experiments:
         if planned and not _has_run(name, results):
             theirs = load_experiment(find_beside(name, loaded.path)).experiment
-            points = [{**levels_of(theirs)[0], **one} for one in conditions(theirs)]
-            found += [dict(points[place % len(points)]) for place in range(asked.count)]
+            points = [{**levels_of(theirs)[0], **condition} for condition in conditions(theirs)]
+            taken += [dict(points[index % len(points)]) for index in range(asked.count)]
             continue
         try:
             run = find_run(name, results)
@@ -100,9 +102,9 @@ def _taken(
                 f"{loaded.name} takes over the leaders of {name}, and there is no run of it in {results}",
                 hint=f"labrun cmaes {name}, and then this one",
             ) from error
-        found += [dict(one) for one in leaders_of(run, asked.count, loaded.experiment)]
+        taken += [dict(leader) for leader in leaders_of(run, asked.count, loaded.experiment)]
         sources.append({"experiment": name, "run": run.parent.name if run.is_file() else run.name})
-    return found, sources
+    return taken, sources
 
 
 def leaders_of(run: Path, count: int, wanted: Experiment | None = None) -> list[Condition]:
@@ -138,21 +140,21 @@ def leaders_of(run: Path, count: int, wanted: Experiment | None = None) -> list[
     led: list[Condition] = []
     for roles in (("fresh",), ("measure", "fresh", "confirm")):
         grouped: dict[object, list[TrialOutcome]] = {}
-        for one in outcomes:
-            if one.role in roles and one.status == "done" and name in one.objectives:
-                own = own_values(one.condition, experiment)
-                grouped.setdefault(condition_key(own), []).append(replace(one, condition=own))
+        for outcome in outcomes:
+            if outcome.role in roles and outcome.status == "done" and name in outcome.objectives:
+                own = own_values(outcome.condition, experiment)
+                grouped.setdefault(condition_key(own), []).append(replace(outcome, condition=own))
         measured = [
             (
                 group[0].condition,
-                np.array([one.objectives[name] for one in group]),
+                np.array([outcome.objectives[name] for outcome in group]),
                 mean_truncation(group, name),
             )
             for group in grouped.values()
         ]
-        known = {condition_key(one) for one in led}
+        known = {condition_key(condition) for condition in led}
         ranked = leading_conditions(measured, direction)
-        led += [one for one in ranked if condition_key(one) not in known]
+        led += [condition for condition in ranked if condition_key(condition) not in known]
     if len(led) < count:
         raise RequestError(
             f"{run} has {len(led)} conditions with an accepted trial, and {count} leaders are wanted",
@@ -167,9 +169,9 @@ def own_values(condition: Mapping[str, float | str], experiment: Experiment) -> 
 
 
 def _require_same_rig(theirs: Experiment, ours: Experiment, run: Path) -> None:
-    one, other = set(theirs.gait.joints), set(ours.gait.joints)
-    if one != other or theirs.gait.plugin != ours.gait.plugin:
-        joints, own = (", ".join(sorted(names)) or "nothing" for names in (one, other))
+    first, other = set(theirs.gait.joints), set(ours.gait.joints)
+    if first != other or theirs.gait.plugin != ours.gait.plugin:
+        joints, own = (", ".join(sorted(names)) or "nothing" for names in (first, other))
         raise RequestError(
             f'{run} is of another rig: its gait "{theirs.gait.plugin}" moves {joints}, '
             f'and "{ours.gait.plugin}" here moves {own}',

@@ -284,8 +284,8 @@ def _names(paths: Sequence[Path]) -> list[str]:
     """Return what tells logs apart: their names, numbered where they are alike."""
     names = [path.name for path in paths]
     return [
-        f"{name} ({names[: place + 1].count(name)})" if names.count(name) > 1 else name
-        for place, name in enumerate(names)
+        f"{name} ({names[: index + 1].count(name)})" if names.count(name) > 1 else name
+        for index, name in enumerate(names)
     ]
 
 
@@ -332,9 +332,9 @@ def _read(paths: Sequence[Path], model: Path, answers: LogAnswers) -> _Reading:
         findings += _undriven(robot, streams, matches, asked)
     matches, doubts = decide_units(matches, units)
     findings += doubts
-    for place, pairs in enumerate(matches):
+    for index, pairs in enumerate(matches):
         pairs, clocks = align_clocks(pairs, _stamps(answers.stamps))  # noqa: PLW2901
-        matches[place], turns = correct_turns(pairs)
+        matches[index], turns = correct_turns(pairs)
         findings += [*clocks, *turns]
     findings += check_ranges(matches)
     columns = tuple(sorted({column.name for stream in streams for column in stream.columns}))
@@ -426,7 +426,7 @@ def _model_files(reading: _Reading, model: Path) -> dict[str, str]:
     if robot is None or table is None:
         source = model.resolve() if model.is_file() else model
         return {"model.toml": f'base = "{source}"\n'}
-    measured = [table.wanted[place].channel for place in table.recorded("output")]
+    measured = [table.wanted[index].channel for index in table.recorded("output")]
     start = "rest" if _at_rest(table, reading.trials) else "free"
     text = robot_table(robot, xml_file="robot.xml", start=start, measured=measured)  # type: ignore[arg-type]
     return {"robot.xml": robot.xml, "model.toml": f"# from {model.name}\n{text}"}
@@ -481,8 +481,8 @@ def _undriven(
     )  # fmt: skip
     for kind, suffix, roles in kinds:
         own = [(stream, column) for stream, column in pairs if column.role in roles]
-        for place, joint in enumerate(robot.joints):
-            pair = numbered(place, len(robot.joints), own)
+        for index, joint in enumerate(robot.joints):
+            pair = numbered(index, len(robot.joints), own)
             if joint.output not in free or pair is None or plain(f"{joint.output}_{suffix}") in answered:
                 continue
             flag = f"--map {joint.output}_{suffix}"
@@ -521,19 +521,19 @@ def _of_robot(robot: Robot) -> list[Wanted]:
     }  # fmt: skip
     outputs = [
         Wanted(
-            joint.output, joint.unit, "output", (joint.name, joint.output), ("position", "unknown"), place,
+            joint.output, joint.unit, "output", (joint.name, joint.output), ("position", "unknown"), index,
             len(robot.joints), joint.range,
         )
-        for place, joint in enumerate(robot.joints)
+        for index, joint in enumerate(robot.joints)
     ]  # fmt: skip
     ranges = {joint.name: joint.range for joint in robot.joints}
     inputs = [
         Wanted(
             actuator.input, actuator.unit, "input",
-            tuple(dict.fromkeys((actuator.joint or actuator.name, actuator.name))), roles[actuator.command], place,
+            tuple(dict.fromkeys((actuator.joint or actuator.name, actuator.name))), roles[actuator.command], index,
             len(robot.actuators), ranges.get(actuator.joint),
         )
-        for place, actuator in enumerate(robot.actuators)
+        for index, actuator in enumerate(robot.actuators)
     ]  # fmt: skip
     return [*inputs, *outputs]
 
@@ -570,8 +570,8 @@ def _at_rest(table: LogTable, trials: Sequence[Piece]) -> bool:
     """Tell whether every trial begins at rest, as far as its first tenth of a second shows it through the noise."""
     period = table.period_s
     count = max(5, round(0.1 / period))
-    for place in table.recorded("output"):
-        course = table.values[:, place]
+    for index in table.recorded("output"):
+        course = table.values[:, index]
         fastest = float(np.quantile(np.abs(np.gradient(course, table.time_s)), 0.99))
         noise = float(np.median(np.abs(np.diff(course))))
         doubt = noise / period * np.sqrt(12 / count**3)  # standard error of a slope through so many samples

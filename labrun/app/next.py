@@ -50,7 +50,7 @@ def propose_next(
         require_experiment_place(out)
     results, workspace = Path(results), Path(workspace)
     folder = find_data(target, results)
-    further = [find_data(one, results) for one in more]
+    further = [find_data(extra, results) for extra in more]
     note(f"reading {folder}")
     question = ask(folder, model, further, workspace=workspace)
     return propose(folder, question, model=model, out=out, seed=seed or 0, workspace=workspace, note=note)
@@ -103,7 +103,7 @@ def plan_trials(
         )
     table = experiment.gap or experiment.fit
     signals = {} if table is None else table.signals
-    step_s, told = _step(loaded, chosen, signals)
+    step_s, messages = _step(loaded, chosen, signals)
     bench = RunBench.planned(
         loaded.name,
         experiment,
@@ -116,7 +116,7 @@ def plan_trials(
     file = out or free_place(workspace / "experiments", f"{loaded.name}-plan")
     require_writable(file.parent, file.name)
     with pool(workers or cores()) as each:
-        found = plan(
+        planned = plan(
             chosen,
             bench,
             np.random.default_rng(seed or 0),
@@ -126,7 +126,7 @@ def plan_trials(
             each=each,
             note=note,
         )
-    return replace(found, notes=(*found.notes, *told))
+    return replace(planned, notes=(*planned.notes, *messages))
 
 
 def _step(

@@ -20,7 +20,7 @@ def predict_fresh(
     fresh: str | Path,
     *,
     horizons_s: Sequence[float] | None = None,
-    beside: str | Path | None = None,
+    predictions_of: str | Path | None = None,
     signals: Mapping[str, str] | None = None,
     seed: int | None = None,
     results: str | Path = "results",
@@ -37,7 +37,7 @@ def predict_fresh(
         An experiment's name (its latest run), a run folder, a run.h5, or a recording's name or folder.
     horizons_s
         How far ahead; 0.1, 0.5 and 2 s, as far as the trials reach, if None.
-    beside
+    predictions_of
         The model to set beside it, instead of the one it came from.
     signals
         Which recorded channel is which input or output of the model; adds to the experiment's own.
@@ -65,8 +65,10 @@ def predict_fresh(
             f"{folder} holds {again}, which {model} was corrected by",
             hint="record the bench again, or name a recording without these trials with --fresh",
         )
-    before, missing = (named_model(beside, Path(workspace)), ()) if beside is not None else _origin(chosen)
-    found = predict(
+    before, missing = (
+        (named_model(predictions_of, Path(workspace)), ()) if predictions_of is not None else _origin(chosen)
+    )
+    predicted = predict(
         question.model,
         question.dataset,
         np.random.default_rng(seed or 0),
@@ -74,11 +76,11 @@ def predict_fresh(
         horizons_s=horizons_s,
         note=note,
     )
-    return replace(found, notes=(*found.notes, *missing))
+    return replace(predicted, notes=(*predicted.notes, *missing))
 
 
-def _same(one: str, other: Path) -> bool:
-    return Path(one).resolve() == other.resolve()
+def _same(path: str, other: Path) -> bool:
+    return Path(path).resolve() == other.resolve()
 
 
 def _seen_again(

@@ -48,8 +48,8 @@ def fit_plan(target: Path, workspace: Path, *, need_model: bool = True) -> FitPl
         There is nothing at `target`.
     """
     if is_recording(target):
-        beside = target / "model.toml"
-        return FitPlan(model=load_model(beside)) if need_model and beside.is_file() else FitPlan()
+        path = target / "model.toml"
+        return FitPlan(model=load_model(path)) if need_model and path.is_file() else FitPlan()
     if not target.exists():
         raise RequestError(
             f"there is no recording or run at {target}",
@@ -97,19 +97,19 @@ def ask(
         There is nothing at `target`, no model is named anywhere, or data do not belong together.
     """
     given = None if model is None else named_model(model, workspace)
-    found, wired = held_against(target, given, workspace)
+    stored_model, wired = held_against(target, given, workspace)
     wired = {**wired, **(signals or {})}
-    dataset = _loaded(target, found, wired)
+    dataset = _loaded(target, stored_model, wired)
     for other in more:
-        dataset = _joined(dataset, _loaded(other, found, wired))
-    return Question(dataset, found, wired)
+        dataset = _joined(dataset, _loaded(other, stored_model, wired))
+    return Question(dataset, stored_model, wired)
 
 
 def _loaded(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset:
     """Return trials whose conditions do not tell repeats apart."""
     dataset, table = load_held(target, model, signals), _gap_table(target)
     same = set(table.repeats) if table is not None else set()
-    used = {one.of or name for name, one in model.meanings.items()} | set(model.conditions)
+    used = {meaning.of or name for name, meaning in model.meanings.items()} | set(model.conditions)
     known = sorted(same & used)
     if known:
         raise RequestError(
@@ -117,8 +117,8 @@ def _loaded(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset:
             hint="take them out of repeats, or name another model",
         )
     trials = [
-        replace(one, condition={key: value for key, value in one.condition.items() if key not in same})
-        for one in dataset.trials
+        replace(trial, condition={key: value for key, value in trial.condition.items() if key not in same})
+        for trial in dataset.trials
     ]
     return replace(dataset, trials=tuple(trials)) if same else dataset
 
@@ -138,7 +138,7 @@ def load_held(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset
         dataset = thinned(dataset, table.rate_hz, table.until_s)
     if table.until_peak is None:
         return dataset
-    names = [one.name for one in dataset.outputs]
+    names = [output.name for output in dataset.outputs]
     if table.until_peak not in names:
         raise RequestError(
             f"[gap] until_peak: model {model.name} has no output {table.until_peak!r}",
@@ -159,13 +159,13 @@ def held_against(target: Path, given: Model | None, workspace: Path) -> tuple[Mo
     if table is not None:
         return given or named_model(table.model, workspace), table.signals
     plan = fit_plan(target, workspace, need_model=given is None)
-    found = given or plan.model
-    if found is None:
+    model = given or plan.model
+    if model is None:
         raise RequestError(
             f"no model to hold {target} against",
             hint="name one with --model, in [gap] or [fit] of the experiment, or as model.toml beside a recording",
         )
-    return found, plan.signals
+    return model, plan.signals
 
 
 def _gap_table(target: Path) -> GapTable | None:
@@ -178,17 +178,17 @@ def _gap_table(target: Path) -> GapTable | None:
     return loads_experiment(run.experiment_toml, run.name, plugins=False).experiment.gap
 
 
-def _joined(one: Dataset, other: Dataset) -> Dataset:
-    mine = [(signal.name, signal.unit) for signal in (*one.inputs, *one.outputs)]
+def _joined(dataset: Dataset, other: Dataset) -> Dataset:
+    mine = [(signal.name, signal.unit) for signal in (*dataset.inputs, *dataset.outputs)]
     theirs = [(signal.name, signal.unit) for signal in (*other.inputs, *other.outputs)]
     if mine != theirs:
         raise RequestError(
-            f"{other.source} has other channels than {one.source}: {theirs} beside {mine}",
+            f"{other.source} has other channels than {dataset.source}: {theirs} beside {mine}",
             hint="diagnose together only what was recorded alike",
         )
     return replace(
-        one,
-        trials=(*one.trials, *other.trials),
-        left_out=one.left_out + other.left_out,
-        notes=(*one.notes, *other.notes),
+        dataset,
+        trials=(*dataset.trials, *other.trials),
+        left_out=dataset.left_out + other.left_out,
+        notes=(*dataset.notes, *other.notes),
     )

@@ -47,45 +47,50 @@ def rank(
         A run that is not there, no trial that counts, an unknown objective, or conditions that are no gaits.
     """
     results = Path(results)
-    told, outcomes, experiment, _ = _run(field, results)
+    label, outcomes, experiment, _ = _run(field, results)
     name, maximise = _objective(experiment, objective)
     counted = [
-        one for one in outcomes if one.status == "done" and one.role != "reference" and name in one.objectives
+        outcome
+        for outcome in outcomes
+        if outcome.status == "done" and outcome.role != "reference" and name in outcome.objectives
     ]
     if not counted:
-        reasons = "; ".join(dict.fromkeys(one.reason for one in outcomes if one.reason)) or "none was run"
+        reasons = (
+            "; ".join(dict.fromkeys(outcome.reason for outcome in outcomes if outcome.reason))
+            or "none was run"
+        )
         raise RequestError(
-            f"{told} has no trial that counts: {reasons}", hint=f"labrun resume {told}, or run it anew"
+            f"{label} has no trial that counts: {reasons}", hint=f"labrun resume {label}, or run it anew"
         )
     notes: list[str] = []
-    gaits = _gaits(experiment, counted, told)
+    gaits = _gaits(experiment, counted, label)
     labs: dict[str, dict[object, FloatArray]] = {}
     units: dict[str, str] = {}
     for target in laboratories:
         path, theirs, maximised, units[path] = _laboratory(target, results)
-        labs[path] = theirs if maximised == maximise else {key: -one for key, one in theirs.items()}
+        labs[path] = theirs if maximised == maximise else {key: -values for key, values in theirs.items()}
         common = sum(_key(gait) in theirs for gait in gaits)
         if common < len(gaits):
             some = "none" if common == 0 else f"{common}"
-            notes.append(f"{path} measured {some} of the {len(gaits)} gaits of {told}")
+            notes.append(f"{path} measured {some} of the {len(gaits)} gaits of {label}")
     rng = np.random.default_rng(np.random.SeedSequence((seed, len(counted))))
     columns = []
     for setting in _settings(counted, experiment):
         values = [_values(_trials(counted, gait, setting), name) for gait in gaits]
-        measured = {_key(gait): one for gait, one in zip(gaits, values, strict=True) if len(one)}
+        measured = {_key(gait): value for gait, value in zip(gaits, values, strict=True) if len(value)}
         agreements = {}
         for path, lab in labs.items():
             both = [key for key in measured if key in lab]
             agreements[path] = agreement([lab[key] for key in both], [measured[key] for key in both], rng)
         cut = [mean_truncation(_trials(counted, gait, setting), name) for gait in gaits]
         cells = tuple(
-            Cell(float(one.mean()), interval, len(one)) if len(one) else None
-            for one, interval in zip(values, pooled_intervals(values, cut), strict=True)
+            Cell(float(value.mean()), interval, len(value)) if len(value) else None
+            for value, interval in zip(values, pooled_intervals(values, cut), strict=True)
         )
         columns.append(FieldColumn(setting, cells, agreements))
     table = experiment.objectives[name]
     made = Ranking(
-        told,
+        label,
         tuple(labs),
         name,
         str(table.settings.get("unit", "")),
@@ -102,33 +107,33 @@ def rank(
         experiment.units,
     )
     made = _with_winner(made)
-    replace_durably(Path(told) / FILE, json.dumps(made.to_json(), indent=2).encode())
+    replace_durably(Path(label) / FILE, json.dumps(made.to_json(), indent=2).encode())
     return made
 
 
 def _with_winner(ranking: Ranking) -> Ranking:
     sign = 1.0 if ranking.maximise else -1.0
     worst: dict[int, float] = {}
-    for place in range(len(ranking.gaits)):
-        bounds = [ranking.bound(column, place) for column in ranking.columns]
+    for index in range(len(ranking.gaits)):
+        bounds = [ranking.bound(column, index) for column in ranking.columns]
         known = [sign * bound for bound in bounds if bound is not None]
         if len(known) == len(bounds):
-            worst[place] = min(known)
+            worst[index] = min(known)
     if not worst:
         note = "no gait has two trials that count in every water, so that none can be taken"
         return replace(ranking, notes=(*ranking.notes, note))
     best = max(worst.values())
-    first, *tied = [place for place, bound in worst.items() if bound == best]
+    first, *tied = [index for index, bound in worst.items() if bound == best]
     if tied:
-        names = ", ".join(ranking.name(place) for place in (first, *tied))
+        names = ", ".join(ranking.name(index) for index in (first, *tied))
         return replace(ranking, winner=first, notes=(*ranking.notes, f"{names} are tied; the first is taken"))
     return replace(ranking, winner=first)
 
 
 def _run(target: str, results: Path) -> tuple[str, list[TrialOutcome], Experiment, dict[str, str]]:
     """Return a run's folder, trials, experiment, and the units of its conditions and objectives."""
-    found = find_run(target, results)
-    folder = found.parent if found.is_file() else found
+    run = find_run(target, results)
+    folder = run.parent if run.is_file() else run
     with open_run(folder) as opened:
         experiment = experiment_of(opened.experiment_toml, opened.name)
         return str(folder), list(opened.outcomes), experiment, opened.units()
@@ -149,34 +154,35 @@ def _objective(experiment: Experiment, asked: str | None) -> tuple[str, bool]:
     return next(iter(experiment.objectives)), True
 
 
-def _gaits(experiment: Experiment, counted: Sequence[TrialOutcome], told: str) -> list[Condition]:
-    found: dict[object, Condition] = {}
-    for one in counted:
-        gait = own_values(one.condition, experiment)
-        found.setdefault(condition_key(gait), gait)
-    if len(found) < 2:
+def _gaits(experiment: Experiment, counted: Sequence[TrialOutcome], label: str) -> list[Condition]:
+    conditions: dict[object, Condition] = {}
+    for outcome in counted:
+        gait = own_values(outcome.condition, experiment)
+        conditions.setdefault(condition_key(gait), gait)
+    if len(conditions) < 2:
         raise RequestError(
-            f"{told} tried {len(found)} gait: there is nothing to rank",
-            hint=f"labrun resume {told}, if it did not come to its end, or more gaits in [run] conditions",
+            f"{label} tried {len(conditions)} gait: there is nothing to rank",
+            hint=f"labrun resume {label}, if it did not come to its end, or more gaits in [run] conditions",
         )
-    return sorted(found.values(), key=lambda gait: float(gait.get(NUMBER, 0.0)))
+    return sorted(conditions.values(), key=lambda gait: float(gait.get(NUMBER, 0.0)))
 
 
 def _settings(counted: Sequence[TrialOutcome], experiment: Experiment) -> list[Condition]:
-    found = (
-        {name: one.condition[name] for name in experiment.over if name in one.condition} for one in counted
+    settings = (
+        {name: outcome.condition[name] for name in experiment.over if name in outcome.condition}
+        for outcome in counted
     )
-    known = {condition_key(setting): setting for setting in found}
+    known = {condition_key(setting): setting for setting in settings}
     return [known[key] for key in sorted(known, key=str)]
 
 
 def _trials(counted: Sequence[TrialOutcome], gait: Condition, setting: Condition) -> list[TrialOutcome]:
     wanted = condition_key({**gait, **setting})
-    return [one for one in counted if condition_key(one.condition) == wanted]
+    return [outcome for outcome in counted if condition_key(outcome.condition) == wanted]
 
 
 def _values(trials: Sequence[TrialOutcome], name: str) -> FloatArray:
-    return np.array([one.objectives[name] for one in trials], dtype=float)
+    return np.array([trial.objectives[name] for trial in trials], dtype=float)
 
 
 def _key(gait: Condition) -> object:
@@ -189,19 +195,21 @@ def _laboratory(target: str, results: Path) -> tuple[str, dict[object, FloatArra
 
     Before them the run's folder; behind them whether the goal is a maximum, and the objective's unit.
     """
-    told, outcomes, experiment, units = _run(target, results)
+    label, outcomes, experiment, units = _run(target, results)
     if experiment.goal is None:
         raise RequestError(
-            f"{told} has no goal, so that it has no order", hint="name a search or a sweep with a goal"
+            f"{label} has no goal, so that it has no order", hint="name a search or a sweep with a goal"
         )
     name, direction = experiment.goal
-    found: dict[object, list[float]] = {}
+    values_of: dict[object, list[float]] = {}
     for roles in (("fresh", "confirm"), ("measure",)):
         taken: dict[object, list[float]] = {}
-        for one in outcomes:
-            if one.role in roles and one.status == "done" and name in one.objectives:
-                taken.setdefault(_key(own_values(one.condition, experiment)), []).append(one.objectives[name])
+        for outcome in outcomes:
+            if outcome.role in roles and outcome.status == "done" and name in outcome.objectives:
+                taken.setdefault(_key(own_values(outcome.condition, experiment)), []).append(
+                    outcome.objectives[name]
+                )
         for key, values in taken.items():
-            found.setdefault(key, values)
-    values_by_gait = {key: np.array(values) for key, values in found.items()}
-    return told, values_by_gait, direction == "maximise", units.get(name, "")
+            values_of.setdefault(key, values)
+    values_by_gait = {key: np.array(values) for key, values in values_of.items()}
+    return label, values_by_gait, direction == "maximise", units.get(name, "")

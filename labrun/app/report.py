@@ -100,7 +100,7 @@ def read_findings(run: Run) -> Findings:
     alone = not (folder / SPEC).is_file()
     result = None if alone else stored_result(folder)
     ended = any(event["event"] == "finished" for event in run.events)
-    found = Findings(
+    findings = Findings(
         run=run,
         experiment=experiment,
         best=result.best if result is not None else confirmed_best(RunView(run, experiment, None)),
@@ -108,9 +108,9 @@ def read_findings(run: Run) -> Findings:
         finished=result is not None or ended or run.path.is_file(),
     )
     if alone:
-        return found
+        return findings
     return replace(
-        found,
+        findings,
         folder=folder,
         result=result,
         fits=stored_fits(folder),

@@ -54,16 +54,16 @@ def resume(
     RequestError
         The experiment file has changed since (says which keys), the folder is no run, or an imported recording.
     """
-    found = find_unfinished(None if run is None else str(run), Path(results))
+    path = find_unfinished(None if run is None else str(run), Path(results))
     with (
         handled() as interrupts,
         interrupts.held(),
-        SilentProgress() if progress is None else progress as told,
+        SilentProgress() if progress is None else progress as reporter,
     ):
         try:
-            return _go_on(found, told, accept_changed_spec, limit, draw, person)
+            return _go_on(path, reporter, accept_changed_spec, limit, draw, person)
         except Interrupted as error:
-            error.hint = error.hint or f"to go on: {resume_line(found)}"
+            error.hint = error.hint or f"to go on: {resume_line(path)}"
             raise
 
 
@@ -143,7 +143,7 @@ def changed_keys(origin: Mapping[str, Any]) -> list[str]:
         now = load_experiment(path).experiment
     except LabrunError as error:
         return [f"it does not load any more: {error}"]
-    old = loads_experiment(before, path.stem, beside=path).experiment
+    old = loads_experiment(before, path.stem, relative_to=path).experiment
     return list(_differences(old.model_dump(by_alias=True), now.model_dump(by_alias=True)))
 
 

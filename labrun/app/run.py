@@ -110,19 +110,19 @@ def run(
     with (
         handled() as interrupts,
         interrupts.held(),
-        SilentProgress() if progress is None else progress as told,
+        SilentProgress() if progress is None else progress as reporter,
     ):
         for name in missing_beside(loaded.experiment, results):
-            told.note(
+            reporter.note(
                 f"no run of {name} in {results} yet: its leaders are not measured beside those of this run"
             )
         with interruptible():
             planned = with_leaders(loaded, results)
         result = _on_bench(
             planned, results, dry_run=dry_run, emulate=emulate, seed=seed, limit=limit,
-            hide=hide, hide_seed=hide_seed, progress=told, draw=draw, person=person,
+            hide=hide, hide_seed=hide_seed, progress=reporter, draw=draw, person=person,
         )  # fmt: skip
-        return fitted(result, loaded.experiment, told, workspace)
+        return fitted(result, loaded.experiment, reporter, workspace)
 
 
 def _on_bench(
@@ -205,7 +205,7 @@ def who_mounts(experiment: Experiment, *, simulated: bool, person: Callable[[str
     """
     if person is not None:
         return Scripted(person)
-    asked = [name for name, one in experiment.objectives.items() if one.plugin == ASKED]
+    asked = [name for name, objective in experiment.objectives.items() if objective.plugin == ASKED]
     if (experiment.by_hand is None and not asked) or simulated:
         return Willing()
     terminal = Terminal()

@@ -75,9 +75,9 @@ class ExportedRobot:
 
     def to_text(self) -> str:
         """Return what a person wants to know of it."""
-        lines = [f"wrote {self.file}", *(f"  {one}" for one in self.exported.written)]
+        lines = [f"wrote {self.file}", *(f"  {part}" for part in self.exported.written)]
         if self.exported.left:
-            lines += ["not in it:", *(f"  {one}" for one in self.exported.left)]
+            lines += ["not in it:", *(f"  {part}" for part in self.exported.left)]
         if self.check is not None:
             lines += file_check_lines(self.check)
         return "\n".join([*lines, *([f"wrote {self.ranges}"] if self.ranges is not None else [])])
@@ -134,13 +134,15 @@ def export_robot(
         write_model(stored, source, corrected)
         model = load_model(corrected)
         exported = mjcf_of(model)
-        found: list[MjcfRange] = []
+        intervals: list[MjcfRange] = []
         if ranges is not None:
             fitted = _fitted(stored, source, corrected, note)
-            found = mjcf_ranges(model, {name: (one.value, *one.ci95) for name, one in fitted.items()})
+            intervals = mjcf_ranges(
+                model, {name: (estimate.value, *estimate.ci95) for name, estimate in fitted.items()}
+            )
     _write(file, exported.xml)
     if ranges is not None:
-        _write(ranges, json.dumps(_ranges(found, stored), indent=2) + "\n")
+        _write(ranges, json.dumps(_ranges(intervals, stored), indent=2) + "\n")
     return ExportedRobot(file, exported, ranges, check)
 
 
@@ -187,12 +189,12 @@ def _diagnosis(path: Path, target: str, results: Path) -> Mapping[str, Any]:
         return read_stored(named)
     kept = sorted(
         (results / recording_name(named)).glob(f"gap-*/{NUMBERS}"),
-        key=lambda one: one.stat().st_mtime,
+        key=lambda file: file.stat().st_mtime,
         reverse=True,
     )
     moved = None
-    for one in kept:
-        stored = _read(one)
+    for file in kept:
+        stored = _read(file)
         source = Path(str(stored.get("source", "")))
         if source.resolve() == named.resolve():
             return stored
@@ -211,23 +213,33 @@ def _read(numbers: Path) -> dict[str, Any]:
         return {}
 
 
-def _ranges(found: list[MjcfRange], stored: Mapping[str, Any]) -> dict[str, Any]:
+def _ranges(intervals: list[MjcfRange], stored: Mapping[str, Any]) -> dict[str, Any]:
     """Return the intervals as MJCF numbers, as events of Isaac Lab and as those of mjlab."""
     isaac, mjlab = [], []
-    for one in found:
-        if one.array in _ISAAC:
-            event, parameter, whose = _ISAAC[one.array]
-            name = one.joint if whose == "joint_names" and one.joint else one.element
-            isaac.append(_event(event, whose, name, {parameter: [one.low, one.high], "operation": "abs"}))
-        if one.array in _MJLAB:
-            event, whose = _MJLAB[one.array]
-            mjlab.append(
-                _event(event, whose, one.element, {"ranges": [one.low, one.high], "operation": "abs"})
+    for interval in intervals:
+        if interval.array in _ISAAC:
+            event, parameter, whose = _ISAAC[interval.array]
+            name = interval.joint if whose == "joint_names" and interval.joint else interval.element
+            isaac.append(
+                _event(event, whose, name, {parameter: [interval.low, interval.high], "operation": "abs"})
             )
-        elif one.array == "actuator_gainprm" and one.value > 0.0:
-            gains = {"kp_range": [one.low / one.value, one.high / one.value], "kd_range": [1.0, 1.0]}
+        if interval.array in _MJLAB:
+            event, whose = _MJLAB[interval.array]
             mjlab.append(
-                _event("dr.pd_gains", "actuator_names", one.element, {**gains, "operation": "scale"})
+                _event(
+                    event,
+                    whose,
+                    interval.element,
+                    {"ranges": [interval.low, interval.high], "operation": "abs"},
+                )
+            )
+        elif interval.array == "actuator_gainprm" and interval.value > 0.0:
+            gains = {
+                "kp_range": [interval.low / interval.value, interval.high / interval.value],
+                "kd_range": [1.0, 1.0],
+            }
+            mjlab.append(
+                _event("dr.pd_gains", "actuator_names", interval.element, {**gains, "operation": "scale"})
             )
     effects = [
         {"effect": cause["effect"], "site": cause["site"], "values": cause["values"]}
@@ -236,7 +248,7 @@ def _ranges(found: list[MjcfRange], stored: Mapping[str, Any]) -> dict[str, Any]
     ]
     return {
         "interval": "95 %, from resampled trials",
-        "parameters": [one.to_json() for one in found],
+        "parameters": [interval.to_json() for interval in intervals],
         "effects": effects,
         "isaac_lab": isaac,
         "mjlab": mjlab,

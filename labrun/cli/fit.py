@@ -142,8 +142,8 @@ def rank(
         from labrun.app.rank import rank as rank_gaits
         from labrun.report import ranking_text
 
-        found = rank_gaits(laboratories, field, objective=objective, results=results)
-        print_result(found, as_json, ranking_text)
+        gaits = rank_gaits(laboratories, field, objective=objective, results=results)
+        print_result(gaits, as_json, ranking_text)
 
 
 COMMANDS = {"fit": fit, "compare": compare, "rank": rank}

@@ -60,7 +60,7 @@ def _numbers(text: str | None, option: str) -> tuple[float, ...] | None:
     from labrun.errors import RequestError
 
     try:
-        return None if text is None else tuple(float(one) for one in text.split(","))
+        return None if text is None else tuple(float(part) for part in text.split(","))
     except ValueError:
         raise RequestError(
             f"{option} {text}: numbers separated by commas were expected", hint=f"{option} 0.1,0.5,2"
@@ -72,7 +72,7 @@ def _sizes(given: Sequence[str]) -> dict[str, float]:
     from labrun.errors import RequestError
 
     try:
-        return {name.strip(): float(size) for name, size in (one.split("=") for one in given)}
+        return {name.strip(): float(size) for name, size in (text.split("=") for text in given)}
     except ValueError:
         raise RequestError(
             f"--noise {' '.join(given)}: an output and a number were expected", hint="--noise angle=0.002"
@@ -279,10 +279,16 @@ def test(
 
         horizons_s = _numbers(horizon, "--horizon")
         with status() as note:
-            found = predict_fresh(
-                model, fresh, horizons_s=horizons_s, beside=beside, seed=seed, results=results, note=note
+            prediction = predict_fresh(
+                model,
+                fresh,
+                horizons_s=horizons_s,
+                predictions_of=beside,
+                seed=seed,
+                results=results,
+                note=note,
             )
-        print_result(found, as_json, fresh_text)
+        print_result(prediction, as_json, fresh_text)
 
 
 def compare(
@@ -305,10 +311,10 @@ def compare(
         from labrun.report import units_text
 
         with status() as note:
-            found = compare_units(
+            units = compare_units(
                 first, second, model=model, seed=seed, workers=workers, results=results, note=note
             )
-        print_result(found, as_json, units_text)
+        print_result(units, as_json, units_text)
 
 
 def plan(
@@ -348,11 +354,11 @@ def plan(
         from labrun.report import trial_plan_text
 
         with status() as note:
-            found = plan_trials(
+            trials = plan_trials(
                 model, rig, noise=_sizes(noise or ()), repeats=repeats, out=out, seed=seed, workers=workers,
                 note=note,
             )  # fmt: skip
-        print_result(found, as_json, trial_plan_text)
+        print_result(trials, as_json, trial_plan_text)
 
 
 def export(

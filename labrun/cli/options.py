@@ -14,8 +14,14 @@ def complete_experiment(ctx: typer.Context, incomplete: str) -> list[str]:
     from labrun.spec import summarise_workspace
 
     kind = ctx.info_name if ctx.info_name in ("sweep", "track", "cmaes", "design") else None
-    found = summarise_workspace(Path.cwd(), RESULTS)
-    return sorted({one.name for one in found if one.name.startswith(incomplete) and kind in (None, one.kind)})
+    workspace = summarise_workspace(Path.cwd(), RESULTS)
+    return sorted(
+        {
+            summary.name
+            for summary in workspace
+            if summary.name.startswith(incomplete) and kind in (None, summary.kind)
+        }
+    )
 
 
 Name = Annotated[

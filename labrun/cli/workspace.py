@@ -77,13 +77,13 @@ def keys(
     with reported(as_json):
         from labrun.spec import keys_at
 
-        found = keys_at(path)
+        listed = keys_at(path)
     if as_json:
-        print_json({"keys": found})
+        print_json({"keys": listed})
         return
     from labrun.report import keys_text
 
-    typer.echo(keys_text(found))
+    typer.echo(keys_text(listed))
 
 
 def new(
@@ -118,16 +118,16 @@ def plugins(as_json: options.Json = False) -> None:
     with reported(as_json):
         from labrun.registry import inspect_all
 
-        found = inspect_all()
+        plugins_ = inspect_all()
     if as_json:
-        print_json({"plugins": found})
+        print_json({"plugins": plugins_})
         return
-    width = max((len(entry.name) for entry in found), default=0)
+    width = max((len(entry.name) for entry in plugins_), default=0)
     group = ""
-    for entry in found:
+    for entry in plugins_:
         if entry.group != group:
             group = entry.group
-            typer.echo(f"\n{group}" if group != found[0].group else group)
+            typer.echo(f"\n{group}" if group != plugins_[0].group else group)
         state = f"  BROKEN: {entry.cause}" if entry.cause else ""
         typer.echo(f"  {entry.name:<{width}}  {entry.origin}  {entry.target}{state}")
 
@@ -157,14 +157,14 @@ def doctor(
         from labrun.report import remark_text
 
         remarks = examine(experiment, Path.cwd(), overrides or (), hardware=hardware, emulate=emulate)
-        found = []
+        diagnosed = []
         for remark in remarks:
-            found.append(remark)
+            diagnosed.append(remark)
             if not as_json:
                 typer.echo(remark_text(remark))
     if as_json:
-        print_json({"findings": [remark.to_json() for remark in found]})
-    if any(remark.verdict == "problem" for remark in found):
+        print_json({"findings": [remark.to_json() for remark in diagnosed]})
+    if any(remark.verdict == "problem" for remark in diagnosed):
         raise typer.Exit(1)
 
 

@@ -81,7 +81,7 @@ class ThroughAddresses(NativeFunction):
         called = ctypes.CFUNCTYPE(None, ctypes.c_double, *[doubles] * 5)(self.address)
 
         def function(t: float, *arrays: Any) -> None:
-            called(t, *(one.ctypes.data_as(doubles) for one in arrays))
+            called(t, *(array.ctypes.data_as(doubles) for array in arrays))
 
         return function
 
@@ -160,12 +160,12 @@ def _digest(function: FunctionType) -> str:
     seen: set[CodeType] = set()
     waiting = [function]
     while waiting:
-        one = waiting.pop()
-        if one.__code__ in seen:
+        current = waiting.pop()
+        if current.__code__ in seen:
             continue
-        seen.add(one.__code__)
-        digest.update(_contents(one.__code__.co_filename))
-        for name, value in _globals_used(one):
+        seen.add(current.__code__)
+        digest.update(_contents(current.__code__.co_filename))
+        for name, value in _globals_used(current):
             callee = getattr(value, "py_func", None) or getattr(value, "_defn", None)
             if isinstance(callee, FunctionType):
                 waiting.append(callee)

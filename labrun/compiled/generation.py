@@ -33,7 +33,7 @@ def equations(
     named = needed(helpers or {}, expressions)
     lines, local = _read([*named.values(), *expressions], variables, known=named)
     lines += _defined(named, local)
-    lines += [f"out{index} = {one.source(local)}" for index, one in enumerate(expressions)]
+    lines += [f"out{index} = {expression.source(local)}" for index, expression in enumerate(expressions)]
     lines += [f"out[{index}] = out{index}" for index in range(len(expressions))]
     return _function_of(f"{function}(t, x, u, p, force, out)", [*lines, "return"])
 
@@ -60,7 +60,7 @@ def law(
     places = {name: name for name in ("t", "q", "rate", "acceleration", "load", "stiffness")}
     places |= {name: f"values[{index}]" for index, name in enumerate(parameters)}
     places |= {name: f"z[{index}]" for index, name in enumerate(rates)}
-    named = {**helpers, **{f"d{name}": one for name, one in rates.items()}}
+    named = {**helpers, **{f"d{name}": rate for name, rate in rates.items()}}
     lines, local = _read([*named.values(), force], places, known=named)
     lines += _defined(named, local)
     lines += [f"dz[{index}] = {local[f'd{name}']}" for index, name in enumerate(rates)]
@@ -91,10 +91,10 @@ def signal_step(
 
 def needed(helpers: Mapping[str, Expression], expressions: Iterable[Expression]) -> dict[str, Expression]:
     """Return the helpers that expressions use, themselves or through others; each knows those before it."""
-    used = {name for one in expressions for name in one.names}
+    used = {name for expression in expressions for name in expression.names}
     for name in reversed(list(helpers)):
         used |= helpers[name].names.keys() if name in used else set()
-    return {name: one for name, one in helpers.items() if name in used}
+    return {name: helper for name, helper in helpers.items() if name in used}
 
 
 def _read(
@@ -102,7 +102,7 @@ def _read(
 ) -> tuple[list[str], dict[str, str]]:
     """Return assignments of every place that is used to a variable, and the variables by name; `known` come later."""
     used = dict.fromkeys(
-        name for one in expressions for name in one.names if name != "t" and name not in known
+        name for expression in expressions for name in expression.names if name != "t" and name not in known
     )
     local = {name: f"v{index}" for index, name in enumerate(used) if name in places}
     return [f"{variable} = {places[name]}" for name, variable in local.items()], local
@@ -111,8 +111,8 @@ def _read(
 def _defined(named: Mapping[str, Expression], local: dict[str, str]) -> list[str]:
     """Return assignments of named expressions in their order; adds their variables to `local`."""
     lines = []
-    for index, (name, one) in enumerate(named.items()):
-        lines.append(f"w{index} = {one.source(local)}")
+    for index, (name, expression) in enumerate(named.items()):
+        lines.append(f"w{index} = {expression.source(local)}")
         local[name] = f"w{index}"
     return lines
 

@@ -78,9 +78,9 @@ class Candidates:
         self._maximise = goal is not None and goal[1] == "maximise"
         self._best = -math.inf
         self._known: dict[object, Known] = {
-            condition_key(one["condition"]): _read(one)
+            condition_key(candidate["condition"]): _read(candidate)
             for state in generations
-            for one in state["candidates"]
+            for candidate in state["candidates"]
         }
         self._stored = folder.outcomes()
         self._index = 0
@@ -97,13 +97,17 @@ class Candidates:
         SimulationLimitError
             Before a generation that would exceed the limit has begun.
         """
-        new = {condition_key(one): one for one in conditions if condition_key(one) not in self._known}
+        new = {
+            condition_key(condition): condition
+            for condition in conditions
+            if condition_key(condition) not in self._known
+        }
         if new and self._limit is not None and self.simulated >= self._limit:
             raise SimulationLimitError(f"{self.simulated} candidates are simulated")
-        for key, one in zip(new, self._all(list(new.values())), strict=True):
-            self._known[key] = Known(one.objectives.get(self._goal), one.violations)
+        for key, simulated in zip(new, self._all(list(new.values())), strict=True):
+            self._known[key] = Known(simulated.objectives.get(self._goal), simulated.violations)
         self.simulated += len(new)
-        return [self._known[condition_key(one)].violations for one in conditions]
+        return [self._known[condition_key(condition)].violations for condition in conditions]
 
     def measure(
         self,
@@ -132,17 +136,17 @@ class Candidates:
     def _copies(self, conditions: Sequence[Condition], role: Role, count: int) -> list[Measurement]:
         first = self._index
         wanted = [(condition, repeat) for condition in conditions for repeat in range(count)]
-        built = [self._built(condition, first + place) for place, (condition, _) in enumerate(wanted)]
+        built = [self._built(condition, first + index) for index, (condition, _) in enumerate(wanted)]
         self._index += len(wanted)
-        found: dict[int, list[TrialOutcome]] = {}
-        for place, one in enumerate(self._all(built, keep=True)):
-            condition, repeat = wanted[place]
-            self.broken.setdefault(role, []).extend(one.violations.texts)
-            outcome = self._store(first + place, condition, repeat, role, built[place], one)
-            found.setdefault(place // count, []).append(outcome)
+        outcomes: dict[int, list[TrialOutcome]] = {}
+        for index, simulated in enumerate(self._all(built, keep=True)):
+            condition, repeat = wanted[index]
+            self.broken.setdefault(role, []).extend(simulated.violations.texts)
+            outcome = self._store(first + index, condition, repeat, role, built[index], simulated)
+            outcomes.setdefault(index // count, []).append(outcome)
         return [
-            Measurement(condition, role, tuple(found.get(place, ())))
-            for place, condition in enumerate(conditions)
+            Measurement(condition, role, tuple(outcomes.get(index, ())))
+            for index, condition in enumerate(conditions)
         ]
 
     def _built(self, condition: Condition, index: int) -> Condition:
@@ -158,33 +162,40 @@ class Candidates:
         }
 
     def _store(
-        self, index: int, condition: Condition, repeat: int, role: Role, built: Condition, one: Simulated
+        self,
+        index: int,
+        condition: Condition,
+        repeat: int,
+        role: Role,
+        built: Condition,
+        simulated: Simulated,
     ) -> TrialOutcome:
         stored = self._stored.get(index)
         if stored is not None:
             return stored
-        failed = not one.objectives
+        failed = not simulated.objectives
         outcome = TrialOutcome(
             index,
             dict(condition),
             repeat,
             role=role,
             status="failed" if failed else "done",
-            reason="; ".join(one.violations.texts) if failed else "",
-            duration_s=one.duration_s,
-            objectives=dict(one.objectives),
-            period_s=one.period_s,
+            reason="; ".join(simulated.violations.texts) if failed else "",
+            duration_s=simulated.duration_s,
+            objectives=dict(simulated.objectives),
+            period_s=simulated.period_s,
             discard_cycles=self._simulator.experiment.trial.discard_cycles,
         )
         writer = self._folder.writer(index)
-        if one.signals is not None:
+        if simulated.signals is not None:
             channels = tuple(
-                Channel(name, unit) for name, unit in zip(one.signals.columns, one.signals.units, strict=True)
+                Channel(name, unit)
+                for name, unit in zip(simulated.signals.columns, simulated.signals.units, strict=True)
             )
-            samples = Samples(one.signals.time_s, one.signals.time_s, one.signals.values)
-            writer.append(SIMULATION, channels, one.signals.rate_hz, samples)
+            samples = Samples(simulated.signals.time_s, simulated.signals.time_s, simulated.signals.values)
+            writer.append(SIMULATION, channels, simulated.signals.rate_hz, samples)
         self._folder.journal.append(
-            "copy", sync=False, index=index, built=dict(built), violations=list(one.violations.texts)
+            "copy", sync=False, index=index, built=dict(built), violations=list(simulated.violations.texts)
         )
         writer.finish(outcome, None, None)
         return outcome
@@ -199,7 +210,7 @@ class Candidates:
             for first in range(0, len(candidates), size)
         )
         parts = dict(spread(self._pool, jobs))
-        return [one for first in sorted(parts) for one in parts[first]]
+        return [outcome for first in sorted(parts) for outcome in parts[first]]
 
 
 def _job(simulator: Simulator, candidates: list[Condition], keep: bool) -> list[Simulated]:

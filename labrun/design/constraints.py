@@ -47,16 +47,18 @@ class DesignConstraints:
     """The `where` of a design: `before` needs the variables only, `after` summaries of channels as well."""
 
     def __init__(self, design: Design) -> None:
-        found = [Constraint(text, ("design", "where", n)) for n, text in enumerate(design.where)]
-        self.before = [one for one in found if names_in(one.text) <= design.variables.keys()]
-        self.after = [one for one in found if one not in self.before]
+        constraints = [Constraint(text, ("design", "where", n)) for n, text in enumerate(design.where)]
+        self.before = [
+            constraint for constraint in constraints if names_in(constraint.text) <= design.variables.keys()
+        ]
+        self.after = [constraint for constraint in constraints if constraint not in self.before]
 
     @property
     def summaries(self) -> set[tuple[str, str]]:
         """What has to be known of channels: kind of summary, and channel."""
-        names = {name for one in self.after for name in names_in(one.text)}
-        found = (name.partition("_") for name in names)
-        return {(kind, channel) for kind, _, channel in found if kind in SUMMARIES and channel}
+        names = {name for constraint in self.after for name in names_in(constraint.text)}
+        parts = (name.partition("_") for name in names)
+        return {(kind, channel) for kind, _, channel in parts if kind in SUMMARIES and channel}
 
     @staticmethod
     def violations(of: list[Constraint], names: Mapping[str, object]) -> Violations:
@@ -78,13 +80,13 @@ class DesignConstraints:
 
         `spans`: range that every summarised channel runs through.
         """
-        found = []
-        for constraint in sorted((*self.before, *self.after), key=lambda one: str(one.key)):
+        margins = []
+        for constraint in sorted((*self.before, *self.after), key=lambda c: str(c.key)):
             value, bound = _sides(constraint.text, names) or (None, None)
             channels = [name.partition("_")[2] for name in names_in(constraint.text)]
             span = max((spans[name] for name in channels if name in spans), default=0.0)
-            found.append(Margin(constraint.text, value, bound, span))
-        return found
+            margins.append(Margin(constraint.text, value, bound, span))
+        return margins
 
 
 def summary(kind: str, values: FloatArray) -> float:

@@ -27,10 +27,17 @@ def dimensions_csv(design: Design, values: Condition, units: Mapping[str, str]) 
     writer.writerow(("name", "value", "tolerance", "unit", "from", "to"))
     ordered = sorted(design.variables, key=lambda name: design.variables[name].tolerance == 0)
     for name in ordered:
-        one = design.variables[name]
-        tolerance = one.tolerance or ""
+        variable = design.variables[name]
+        tolerance = variable.tolerance or ""
         writer.writerow(
-            (name, f"{float(values[name]):.6g}", tolerance, units.get(name, ""), one.start, one.stop)
+            (
+                name,
+                f"{float(values[name]):.6g}",
+                tolerance,
+                units.get(name, ""),
+                variable.start,
+                variable.stop,
+            )
         )
     return text.getvalue()
 
@@ -83,7 +90,7 @@ def written_experiment(
         The template has no such key.
     """
     known = {".".join(map(str, path)): path for path in locate(template).spans}
-    given: dict[str, float | str] = {name: float(one(values)) for name, one in written.values.items()}
+    given: dict[str, float | str] = {name: float(value(values)) for name, value in written.values.items()}
     given |= {name: _filled(text, values) for name, text in written.texts.items()}
     if written.model_at is not None:
         given[written.model_at] = model
@@ -103,7 +110,7 @@ def written_experiment(
 
 def _filled(text: str, values: Condition) -> str:
     """Return a text with the numbers of the design in the place of expressions in braces."""
-    return BRACES.sub(lambda found: f"{float(Expression.of(found[1])(values)):.6g}", text)
+    return BRACES.sub(lambda match: f"{float(Expression.of(match[1])(values)):.6g}", text)
 
 
 def _as_toml(value: float | str) -> str:
@@ -168,7 +175,7 @@ def drawing_of(design: Design, values: Condition) -> Drawing | None:
     """Return the drawing of a finished design; None where the file says of no part how it looks."""
     parts = []
     for name, part in design.parts.items():
-        x_mm, y_mm = (float(one(values)) for one in part.from_mm)
+        x_mm, y_mm = (float(coordinate(values)) for coordinate in part.from_mm)
         angle_rad = math.radians(float(part.angle_deg(values)))
         sizes = float(part.length_mm(values)), float(part.width_mm(values))
         parts.append(DrawnPart(name, x_mm, y_mm, *sizes, angle_rad))

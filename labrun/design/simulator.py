@@ -88,7 +88,7 @@ class Simulator:
 
     def parameters(self, values: Condition) -> dict[str, float]:
         """Return the model's parameters of a candidate, SI."""
-        return {name: float(one(values)) for name, one in self.design.parameters.items()}
+        return {name: float(parameter(values)) for name, parameter in self.design.parameters.items()}
 
     @functools.cached_property
     def _parts(self) -> "_Parts":
@@ -107,36 +107,36 @@ class Simulator:
         try:
             return self._simulated(values, keep, broken)
         except _UnfitError as error:
-            told = f"{_UNFIT}{error}"
-            return Simulated({}, Violations(broken.number + 1, broken.size + 1.0, (*broken.texts, told)))
+            reason = f"{_UNFIT}{error}"
+            return Simulated({}, Violations(broken.number + 1, broken.size + 1.0, (*broken.texts, reason)))
 
     def _simulated(self, values: Condition, keep: bool, broken: Violations) -> Simulated:
         parts, design = self._parts, self.design
         try:
             motion = parts.motions.motion(values)
             parameters = self.parameters(values)
-            start = {name: float(one(values)) for name, one in design.initial.items()}
+            start = {name: float(expression(values)) for name, expression in design.initial.items()}
         except (PlanError, ExpressionError) as error:
             raise _UnfitError(str(error).splitlines()[0]) from error
         parts.require_within(parameters)
         count = max(2, round(motion.duration_s * design.rate_hz) + 1)
         time_s = np.linspace(0.0, motion.duration_s, count)
-        told = motion.trajectory.at(time_s)
+        commanded = motion.trajectory.at(time_s)
         inputs = (
-            np.column_stack([told[:, column] for column in parts.columns])
+            np.column_stack([commanded[:, column] for column in parts.columns])
             if parts.columns
             else (np.empty((count, 0)))
         )
         state = parts.model.initial_state(values)
         for name, value in start.items():
             state[parts.model.states.index(name)] = value
-        found = simulate(
+        simulated = simulate(
             parts.model, time_s, inputs,
             parameters=parameters, condition=values, initial_state=state, substeps=design.substeps,
         )  # fmt: skip
-        if not found.finite:
+        if not simulated.finite:
             raise _UnfitError("its motion leaves the finite numbers")
-        signals = parts.signals(time_s, found.outputs, values)
+        signals = parts.signals(time_s, simulated.outputs, values)
         names = {**values, **parts.summaries(signals)}
         after = parts.constraints.violations(parts.constraints.after, names)
         violations = Violations(
@@ -174,13 +174,18 @@ class _Parts:
         self.objectives = ObjectiveEvaluation(experiment)
         self.motions = MotionMaker(experiment)
         self._design = design
-        self._bounds = {one.name: (one.lower, one.upper, one.unit) for one in model.parameters}
-        self._units = [*(one.unit for one in model.outputs), *("1" for _ in design.channels)]
-        outputs = [one.name for one in model.outputs]
+        self._bounds = {
+            parameter.name: (parameter.lower, parameter.upper, parameter.unit)
+            for parameter in model.parameters
+        }
+        self._units = [*(output.unit for output in model.outputs), *("1" for _ in design.channels)]
+        outputs = [output.name for output in model.outputs]
         self._names = (*outputs, *design.channels)
-        self._require_known("parameters", design.parameters, [one.name for one in model.parameters])
+        self._require_known(
+            "parameters", design.parameters, [parameter.name for parameter in model.parameters]
+        )
         self._require_known("initial", design.initial, list(model.states))
-        self._require_known("signals", design.signals, [one.name for one in model.inputs])
+        self._require_known("signals", design.signals, [signal.name for signal in model.inputs])
         for name in design.channels:
             if name in outputs or name in design.variables:
                 raise SpecError(
@@ -195,12 +200,12 @@ class _Parts:
                 )
         joints = list(self.motions.joints)
         self.columns = []
-        for one in model.inputs:
-            joint = design.signals.get(one.name, one.name).removeprefix("command.")
+        for signal in model.inputs:
+            joint = design.signals.get(signal.name, signal.name).removeprefix("command.")
             if joint not in joints:
                 raise SpecError(
-                    f"the model's input {one.name} is no joint of the gait",
-                    hint=f"name a joint after it, or write design.signals.{one.name} = "
+                    f"the model's input {signal.name} is no joint of the gait",
+                    hint=f"name a joint after it, or write design.signals.{signal.name} = "
                     f'"command.JOINT"; the gait has {", ".join(joints) or "none"}',
                 )
             self.columns.append(joints.index(joint))
@@ -275,24 +280,24 @@ def require_simulable(simulator: Simulator) -> float:
         keep &= holds
         excluded.append((1.0 - float(holds.mean()), constraint.text))
     if not keep.any():
-        told = "".join(
+        shares = "".join(
             f"\n  {100 * share:.0f} % break: {text}" for share, text in sorted(excluded, reverse=True)
         )
         raise PlanError(
-            f"nothing of the design space can be built: the constraints leave none of {_PROBES:,} points{told}",
+            f"nothing of the design space can be built: the constraints leave none of {_PROBES:,} points{shares}",
             hint="bounds and constraints exclude each other: widen the ranges of the variables, or loosen `where`",
         )
     chosen = np.flatnonzero(keep)[:8]
     tried = simulator(
         [{name: float(column[at]) for name, column in columns.items()} for at in chosen], keep=True
     )
-    if not any(one.objectives for one in tried):
-        reasons = Counter(one.violations.texts[-1].removeprefix(_UNFIT) for one in tried)
-        told = "".join(f"\n  {count} x {reason}" for reason, count in reasons.most_common(_REASONS))
+    if not any(outcome.objectives for outcome in tried):
+        reasons = Counter(outcome.violations.texts[-1].removeprefix(_UNFIT) for outcome in tried)
+        message = "".join(f"\n  {count} x {reason}" for reason, count in reasons.most_common(_REASONS))
         if len(reasons) > _REASONS:
-            told += f"\n  {len(reasons) - _REASONS} others like these"
+            message += f"\n  {len(reasons) - _REASONS} others like these"
         raise PlanError(
-            f"the design cannot be simulated: none of {len(tried)} that were tried{told}",
+            f"the design cannot be simulated: none of {len(tried)} that were tried{message}",
             hint="look at design.parameters, design.initial and the ranges of the variables; more design.substeps "
             "take smaller steps",
         )

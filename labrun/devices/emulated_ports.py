@@ -113,9 +113,9 @@ class FaultyWire(Generic[Target]):
     def _with_a_bit_flipped(self, message: bytes) -> bytes:
         if not message:
             return message
-        place = int(self.rng.integers(8 * len(message)))
+        bit = int(self.rng.integers(8 * len(message)))
         flipped = bytearray(message)
-        flipped[place // 8] ^= 1 << (place % 8)
+        flipped[bit // 8] ^= 1 << (bit % 8)
         return bytes(flipped)
 
 
@@ -308,7 +308,7 @@ class TcpEndpoint:
 
     def accept(self) -> list[int]:
         """Take new clients; return their numbers."""
-        found: list[int] = []
+        connections: list[int] = []
         while self._server is not None:
             try:
                 client, _ = self._server.accept()
@@ -318,8 +318,8 @@ class TcpEndpoint:
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._numbered += 1
             self._clients[self._numbered] = client
-            found.append(self._numbered)
-        return found
+            connections.append(self._numbered)
+        return connections
 
     def receive(self) -> list[tuple[int, bytes]]:
         """Return what clients have sent since the last time; empty bytes stand for a client that has left."""

@@ -133,28 +133,34 @@ class OrientationAngles:
     ) -> None:
         places: dict[str | None, int | None] = {None: None, **{body: k for k, body in enumerate(bodies)}}
         self._hinges = [
-            (places[one.from_body], places[one.to_body], np.array(one.axis) / np.linalg.norm(one.axis))
-            for one in hinges.values()
+            (
+                places[hinge.from_body],
+                places[hinge.to_body],
+                np.array(hinge.axis) / np.linalg.norm(hinge.axis),
+            )
+            for hinge in hinges.values()
         ]
-        self._eulers = [(places[one.from_body], places[one.body], one.order) for one in eulers.values()]
+        self._eulers = [
+            (places[angles.from_body], places[angles.body], angles.order) for angles in eulers.values()
+        ]
         turns = [f"{name}_r{axis}" for name in eulers for axis in "xyz"]
         self.channels = tuple(Channel(name, "rad") for name in (*hinges, *turns))
 
     def of(self, orientations: FloatArray) -> FloatArray:
         """Return the angles, shape (n, channels), of orientations (n, bodies, 4)."""
-        found = [turn_about(_seen(orientations, *ends), axis)[:, None] for *ends, axis in self._hinges]
+        turned = [turn_about(_seen(orientations, *ends), axis)[:, None] for *ends, axis in self._hinges]
         for start, end, order in self._eulers:
             angles = euler(_seen(orientations, start, end), order)
-            found.append(angles[:, [order.index(axis) for axis in "xyz"]])
-        return np.concatenate([np.empty((len(orientations), 0)), *found], axis=1)
+            turned.append(angles[:, [order.index(axis) for axis in "xyz"]])
+        return np.concatenate([np.empty((len(orientations), 0)), *turned], axis=1)
 
 
 def unknown_bodies(
     bodies: Sequence[str], hinges: Mapping[str, HingeAngle], eulers: Mapping[str, EulerAngles]
 ) -> list[str]:
     """Return a sentence for every body that is asked for and not tracked."""
-    asked = [(name, body) for name, one in hinges.items() for body in (one.from_body, one.to_body)]
-    asked += [(name, body) for name, one in eulers.items() for body in (one.from_body, one.body)]
+    asked = [(name, body) for name, hinge in hinges.items() for body in (hinge.from_body, hinge.to_body)]
+    asked += [(name, body) for name, angles in eulers.items() for body in (angles.from_body, angles.body)]
     return [
         f"angle {name} is of body {body!r}, which is not among bodies {list(bodies)}"
         for name, body in asked

@@ -74,8 +74,8 @@ class Trajectory:
     def at(self, time_s: ArrayLike) -> FloatArray:
         """Return the angles at the given times, shape (n, joints); held before the first and after the last point."""
         times = np.atleast_1d(np.asarray(time_s, dtype=float))
-        found = [np.interp(times, self.time_s, column) for column in self.angle_rad.T]
-        return np.column_stack(found) if found else np.empty((len(times), 0))
+        columns = [np.interp(times, self.time_s, column) for column in self.angle_rad.T]
+        return np.column_stack(columns) if columns else np.empty((len(times), 0))
 
     def only(self, joints: tuple[str, ...]) -> "Trajectory":
         """Return the motion of these joints alone, in their order."""

@@ -286,7 +286,7 @@ class Effect:
     @property
     def periodic(self) -> bool:
         """Tell whether it comes back along the coordinate: `periods`, with the sizes of its `sine` and its `cosine`."""
-        return {"periods", "sine", "cosine"} == {one.name for one in self.parameters}
+        return {"periods", "sine", "cosine"} == {parameter.name for parameter in self.parameters}
 
     def fits(self, site: Site, scale: Scale | None = None) -> bool:
         """Tell whether to look for it at a site: of its kind, with what it needs, without what replaces it.
@@ -299,7 +299,7 @@ class Effect:
         if scale is not None and 2.0 * (scale.travel or scale.coordinate) < self.least_travel:
             return False
         declared = all(getattr(site, need) for need in self.needs)
-        return site.kind == self.kind and declared and not any(getattr(site, one) for one in self.unless)
+        return site.kind == self.kind and declared and not any(getattr(site, need) for need in self.unless)
 
     def attach(self, site: str, scale: Scale | None = None, /, **values: float) -> "AttachedEffect":
         """Put it at a site with these values (SI); those not given take their first start.
@@ -313,7 +313,9 @@ class Effect:
         for name in values:
             if name not in names:
                 raise ModelError(f"effect {self.id} has no parameter {name!r}", hint=suggest(name, names))
-        defaults = {one.name: one.start_values(scale or Scale())[0] for one in self.parameters}
+        defaults = {
+            parameter.name: parameter.start_values(scale or Scale())[0] for parameter in self.parameters
+        }
         return AttachedEffect(self, site, tuple(float({**defaults, **values}[name]) for name in names))
 
 
@@ -329,7 +331,9 @@ class AttachedEffect:
     def named_values(self) -> Mapping[str, float]:
         """The values by name, without shapes that stand in for another one but do not (they are 0)."""
         pairs = zip(self.effect.parameters, self.values, strict=True)
-        return {one.name: value for one, value in pairs if value != 0.0 or not one.instead_of}
+        return {
+            parameter.name: value for parameter, value in pairs if value != 0.0 or not parameter.instead_of
+        }
 
     def with_values(self, values: Sequence[float]) -> "AttachedEffect":
         """Return the same with other values."""
@@ -358,7 +362,7 @@ class AttachedEffect:
                 f"model {model.name} has {there}"
             )
         if len(self.values) != len(self.effect.parameters):
-            names = ", ".join(one.name for one in self.effect.parameters)
+            names = ", ".join(parameter.name for parameter in self.effect.parameters)
             raise ModelError(f"effect {self.effect.id} takes {names}; {len(self.values)} values were given")
         for name, value in self.named_values.items():
             if math.isnan(value):

@@ -47,8 +47,8 @@ def motion_profile(
     if dt == 0.0:
         memory[0] = after[0]
         memory[1] = 0.0
-    place, speed, top = memory[0], memory[1], values[0]
-    out[0] = place
+    position, speed, top = memory[0], memory[1], values[0]
+    out[0] = position
     if top == math.inf:
         out[0] = before[0]
         memory[0] = after[0]
@@ -56,9 +56,9 @@ def motion_profile(
     elif dt > 0.0:
         slope = top / values[1]
         # where it would come to rest if it braked now, tells the way
-        short = after[0] - place - 0.5 * speed * abs(speed) / slope
+        short = after[0] - position - 0.5 * speed * abs(speed) / slope
         way = 1.0 if short >= 0.0 else -1.0
-        ahead, along = way * (after[0] - place), way * speed
+        ahead, along = way * (after[0] - position), way * speed
         peak = min(math.sqrt(max(slope * ahead + 0.5 * along * along, 0.0)), top)
         first = abs(peak - along) / slope
         last = peak / slope
@@ -69,19 +69,19 @@ def motion_profile(
             length = first if phase == 0 else cruise if phase == 1 else last
             rising = math.copysign(slope, peak - along) if phase == 0 else 0.0 if phase == 1 else -slope
             spent = min(length, left)
-            area += spent * (place + way * spent * (0.5 * along + rising * spent / 6.0))
-            place += way * spent * (along + 0.5 * rising * spent)
+            area += spent * (position + way * spent * (0.5 * along + rising * spent / 6.0))
+            position += way * spent * (along + 0.5 * rising * spent)
             left -= spent
             if spent < length:
                 along += rising * spent
                 break
             along = peak if phase < 2 else 0.0
         if left > 0.0:
-            place, along = after[0], 0.0
-            area += left * place
-        memory[0] = place
+            position, along = after[0], 0.0
+            area += left * position
+        memory[0] = position
         memory[1] = way * along
-        out[2] = area / dt - 0.5 * (out[0] + place)
+        out[2] = area / dt - 0.5 * (out[0] + position)
     out[1] = memory[0]
 
 
@@ -148,27 +148,27 @@ def delay(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: P
     slots = int(memory[3])
     newest = int(memory[1])
     reading = int(memory[2])
-    place = _HEADER + _PIECE * (newest % slots)
-    memory[place] = memory[0]
-    memory[place + 1] = memory[0] + dt
-    memory[place + 2] = before[0]
-    memory[place + 3] = after[0]
+    slot = _HEADER + _PIECE * (newest % slots)
+    memory[slot] = memory[0]
+    memory[slot + 1] = memory[0] + dt
+    memory[slot + 2] = before[0]
+    memory[slot + 3] = after[0]
     pieces, area, since, value = 0, 0.0, 0.0, 0.0
     for end in range(2):
         target = memory[0] + end * dt - shift
-        place = _HEADER + _PIECE * (reading % slots)
+        slot = _HEADER + _PIECE * (reading % slots)
         # at the begin of a piece what matters is the value after a jump, at its end the value before one
-        while reading < newest and (memory[place + 1] < target or (end == 0 and memory[place + 1] == target)):
+        while reading < newest and (memory[slot + 1] < target or (end == 0 and memory[slot + 1] == target)):
             if end == 1:  # what is read lies in more than one piece
-                area += 0.5 * (value + memory[place + 3]) * (memory[place + 1] - since)
+                area += 0.5 * (value + memory[slot + 3]) * (memory[slot + 1] - since)
                 pieces += 1
-                since = memory[place + 1]
+                since = memory[slot + 1]
             reading += 1
-            place = _HEADER + _PIECE * (reading % slots)
+            slot = _HEADER + _PIECE * (reading % slots)
             if end == 1:
-                value = memory[place + 2]
-        fraction = (target - memory[place]) / (memory[place + 1] - memory[place])
-        out[end] = (1.0 - fraction) * memory[place + 2] + fraction * memory[place + 3]
+                value = memory[slot + 2]
+        fraction = (target - memory[slot]) / (memory[slot + 1] - memory[slot])
+        out[end] = (1.0 - fraction) * memory[slot + 2] + fraction * memory[slot + 3]
         if end == 0:
             since, value = target, out[0]
         elif pieces > 0:
@@ -196,8 +196,8 @@ def wall_echo(
     part = values[1] / _SECTIONS
     signal = abs(rate) * rate
     for section in range(_SECTIONS):
-        place = 2 * section
-        dz[place] = z[place + 1]
-        dz[place + 1] = signal - 12.0 / (part * part) * z[place] - 6.0 / part * z[place + 1]
-        signal -= 12.0 / part * z[place + 1]
+        index = 2 * section
+        dz[index] = z[index + 1]
+        dz[index + 1] = signal - 12.0 / (part * part) * z[index] - 6.0 / part * z[index + 1]
+        signal -= 12.0 / part * z[index + 1]
     return values[0] * signal

@@ -71,8 +71,8 @@ class _Entry(Table):
         if self.form:
             return self.form
         text = f"F = {self.F.text}" if self.F else f"y = {self.y.text}" if self.y else ""
-        text += "".join(f", d{name}/dt = {one.text}" for name, one in self.rates.items())
-        text += "".join(f", {name} = {one.text}" for name, one in self.where.items())
+        text += "".join(f", d{name}/dt = {rate.text}" for name, rate in self.rates.items())
+        text += "".join(f", {name} = {expression.text}" for name, expression in self.where.items())
         return text + (f"; {self.remark}" if self.remark else "")
 
     def faults(self) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -90,11 +90,11 @@ class _Entry(Table):
             if shape.instead_of and not (shape.held and other is not None and other.held):
                 yield ("parameters", own, "instead_of"), "a shape stands in for another shape of its effect"
         known = [*(_SITE if force else _SIGNAL), *self.parameters, *self.rates]
-        for helper, one in self.where.items():
-            yield from _strangers(("where", helper), one, known)
+        for helper, expression in self.where.items():
+            yield from _strangers(("where", helper), expression, known)
             known.append(helper)
-        for state, one in self.rates.items():
-            yield from _strangers(("states", state), one, known)
+        for state, rate in self.rates.items():
+            yield from _strangers(("states", state), rate, known)
         if equation is not None:
             yield from _strangers((name,), equation, [*known, *(f"d{state}" for state in self.rates)])
 
@@ -111,9 +111,9 @@ class _Entry(Table):
         """Return what of the site or of the signals its equations use."""
         names = {
             name
-            for one in (self.F, self.y, *self.where.values(), *self.rates.values())
-            if one
-            for name in one.names
+            for rate in (self.F, self.y, *self.where.values(), *self.rates.values())
+            if rate
+            for name in rate.names
         }
         return names - {*self.parameters, *self.where, *self.rates}
 
@@ -140,7 +140,7 @@ def read_effects(
     path = Path(path)
     text = text_of(path, kind=ModelError) if text is None else text
     data = parsed(text, str(path), kind=ModelError)
-    shared, found, faults = data.get("shared", {}), [], []
+    shared, effects_, faults = data.get("shared", {}), [], []
     for id_, table in data.items():
         if id_ == "shared":
             continue
@@ -149,11 +149,11 @@ def read_effects(
         faults += wrong
         if isinstance(entry, _Entry):
             faults += [Fault((id_, *key), message, at_value=bool(key)) for key, message in entry.faults()]
-            found.append((id_, entry))
+            effects_.append((id_, entry))
     if faults:
         raise refusal(ModelError, str(path), Places(str(path), text, data).of_all(faults))
     where = str(path) if origin is None else origin
-    return tuple(effect for id_, entry in found for effect in _effects(id_, entry, where))
+    return tuple(effect for id_, entry in effects_ for effect in _effects(id_, entry, where))
 
 
 def _filled(table: Any, shared: Mapping[str, Any]) -> Any:
@@ -165,15 +165,17 @@ def _filled(table: Any, shared: Mapping[str, Any]) -> Any:
         own = table.get(part)
         if isinstance(own, dict):
             filled[part] = {
-                name: shared.get(name, one) if one == "shared" else one for name, one in own.items()
+                name: shared.get(name, given) if given == "shared" else given for name, given in own.items()
             }
     return filled
 
 
 def _effects(id_: str, entry: _Entry, origin: str) -> Iterator[Effect]:
     used, function = entry.used(), entry.compiled()
-    needs: tuple[Need, ...] = tuple(one for one in get_args(Need) if one in used or one in entry.needs)
-    parameters = tuple(EffectParameter(name=name, **dict(one)) for name, one in entry.parameters.items())
+    needs: tuple[Need, ...] = tuple(need for need in get_args(Need) if need in used or need in entry.needs)
+    parameters = tuple(
+        EffectParameter(name=name, **dict(parameter)) for name, parameter in entry.parameters.items()
+    )
     for kind in entry.kinds:
         yield Effect(
             id=id_,
@@ -201,9 +203,9 @@ def _effects(id_: str, entry: _Entry, origin: str) -> Iterator[Effect]:
 
 
 def _strangers(
-    key: tuple[str, ...], one: Expression, known: list[str]
+    key: tuple[str, ...], expression: Expression, known: list[str]
 ) -> Iterator[tuple[tuple[str, ...], str]]:
-    for name in one.names:
+    for name in expression.names:
         if name not in known:
             yield key, f"there is no {name!r}; {suggest(name, known)}"
 
@@ -257,11 +259,11 @@ def effects(without: Collection[str] = ()) -> tuple[Effect, ...]:
     PluginError
         A plugin does not import, or is no effect.
     """
-    found = [(effect.id, effect) for effect in shipped() if effect.id not in without]
+    numbered = [(effect.id, effect) for effect in shipped() if effect.id not in without]
     for plugin in registry.names(_GROUP):
         if plugin not in without:
-            found += [(plugin, effect) for effect in _of_plugin(plugin)]
-    return tuple(effect for _, effect in sorted(found, key=lambda one: one[0]))
+            numbered += [(plugin, effect) for effect in _of_plugin(plugin)]
+    return tuple(effect for _, effect in sorted(numbered, key=lambda pair: pair[0]))
 
 
 @functools.cache
@@ -275,8 +277,8 @@ def _named(name: str) -> tuple[Effect, ...]:
     file, colon, id_ = name.rpartition(":")
     if colon and file.endswith(".toml"):
         there = read_effects(Path(file))
-        if found := tuple(effect for effect in there if effect.id == id_):
-            return found
+        if matching := tuple(effect for effect in there if effect.id == id_):
+            return matching
         raise PluginError(f"{file} has no effect {id_!r}", hint=suggest(id_, {effect.id for effect in there}))
     own = tuple(effect for effect in shipped() if effect.id == name)
     if own or colon or registry.is_installed(_GROUP, name):
@@ -290,8 +292,8 @@ def _named(name: str) -> tuple[Effect, ...]:
 
 
 def _of_plugin(name: str) -> tuple[Effect, ...]:
-    found = registry.load(_GROUP, name)
-    group = found if isinstance(found, tuple) else (found,)
+    loaded = registry.load(_GROUP, name)
+    group = loaded if isinstance(loaded, tuple) else (loaded,)
     for effect in group:
         if not isinstance(effect, Effect):
             raise PluginError(

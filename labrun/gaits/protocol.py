@@ -105,7 +105,10 @@ def make_gait(table: GaitTable) -> Gait:
         Keys that do not hold.
     """
     plugin = cast("GaitPlugin", registry.load("labrun.gaits", table.plugin))
-    joints = {joint: {key: one.given for key, one in keys.items()} for joint, keys in table.joints.items()}
+    joints = {
+        joint: {key: expression.given for key, expression in keys.items()}
+        for joint, keys in table.joints.items()
+    }
     try:
         return plugin(joints, {name: part.given for name, part in table.let.items()}, table.settings)
     # ValueError: a third party's own way of refusing its keys
@@ -255,9 +258,9 @@ def in_columns(columns: Sequence[Quantity], scope: Scope) -> Steering:
 
     def angles(time_s: FloatArray, values: Mapping[str, FloatArray]) -> FloatArray:
         names = scope.at({**values, "t": time_s})
-        found = np.empty((len(time_s), len(columns)))
+        angles_rad = np.empty((len(time_s), len(columns)))
         for number, column in enumerate(columns):
-            found[:, number] = column(names)
-        return np.radians(found)
+            angles_rad[:, number] = column(names)
+        return np.radians(angles_rad)
 
     return angles

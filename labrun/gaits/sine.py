@@ -62,11 +62,11 @@ class SineGait(ExpressionGait):
 
         def angles(time_s: FloatArray, values: Mapping[str, FloatArray]) -> FloatArray:
             names = scope.at(values)
-            found = np.empty((len(time_s), len(parts)))
+            angles_rad = np.empty((len(time_s), len(parts)))
             for column, (angular, offset, amplitude, phase) in enumerate(parts):
                 cycle = np.sin(angular * time_s + np.radians(phase(names)))
-                found[:, column] = offset(names) + amplitude(names) * cycle
-            return np.radians(found)
+                angles_rad[:, column] = offset(names) + amplitude(names) * cycle
+            return np.radians(angles_rad)
 
         return angles
 

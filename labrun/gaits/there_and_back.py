@@ -57,7 +57,7 @@ class _ThereAndBack(ExpressionGait):
     def _ways(self, condition: Condition) -> list[tuple[Way, float]]:
         """Return each joint's way, and how long it takes there and back."""
         scope = Scope(self._let, condition)
-        found = []
+        ways = []
         for joint, keys in self._keys.items():
             values = {
                 key: scope.number(getattr(keys, key), f"{key} of {joint}") for key in type(keys).model_fields
@@ -67,8 +67,8 @@ class _ThereAndBack(ExpressionGait):
                     raise SpecError(f"gait.joints.{joint}.{key} is {value:g}; it must be above 0")
             if values["from_deg"] == values["to_deg"]:
                 raise SpecError(f"gait.joints.{joint} goes from {values['from_deg']:g} deg to where it is")
-            found.append(self._way(values))
-        return found
+            ways.append(self._way(values))
+        return ways
 
     @staticmethod
     @abstractmethod

@@ -77,17 +77,17 @@ def read_learned(path: Path) -> LearnedModel:
             f"{path} is no learned model: it has no {', '.join(missing)}",
             hint="labrun fit NAME --model mlp writes one, a .toml and an .npz beside it",
         )
-    beside = path.parent / str(data["weights"])
+    weights_path = path.parent / str(data["weights"])
     try:
-        packed = beside.read_bytes()
+        packed = weights_path.read_bytes()
     except OSError as error:
         raise SpecError(
-            f"{path} has its weights in {beside.name}, which cannot be read: {error.strerror}",
+            f"{path} has its weights in {weights_path.name}, which cannot be read: {error.strerror}",
             hint="the two files belong together: copy both",
         ) from error
     if hashlib.sha256(packed).hexdigest() != data["sha256"]:
         raise SpecError(
-            f"the weights in {beside.name} are not those that {path} describes: another fit, or a damaged file",
+            f"the weights in {weights_path.name} are not those that {path} describes: another fit, or a damaged file",
             hint="copy both files of one fit; the scaling of one does not hold for the weights of another",
         )
     try:
@@ -99,10 +99,12 @@ def read_learned(path: Path) -> LearnedModel:
             n for n, values in _scaling_of(model.network).items() if not np.array_equal(arrays[n], values)
         ]
     except (KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
-        raise SpecError(f"{path} and {beside.name} cannot be read as a learned model: {error}") from error
+        raise SpecError(
+            f"{path} and {weights_path.name} cannot be read as a learned model: {error}"
+        ) from error
     if changed:
         raise SpecError(
-            f"scaling.{changed[0]} in {path} is not that of the weights in {beside.name}",
+            f"scaling.{changed[0]} in {path} is not that of the weights in {weights_path.name}",
             hint="the numbers of one fit belong together: copy both of its files again, or fit anew",
         )
     return model
@@ -113,8 +115,8 @@ def to_table(model: LearnedModel) -> dict[str, Any]:
     network = model.network
     return {
         **_described(model),
-        "weights": [one.tolist() for one in network.weights],
-        "biases": [one.tolist() for one in network.biases],
+        "weights": [weight.tolist() for weight in network.weights],
+        "biases": [bias.tolist() for bias in network.biases],
     }
 
 
@@ -151,8 +153,8 @@ def _model(
 ) -> LearnedModel:
     """Return the model that `_described` described, checked against its weights."""
     network = Network(
-        tuple(np.array(one, dtype=np.float64) for one in weights),
-        tuple(np.array(one, dtype=np.float64) for one in biases),
+        tuple(np.array(weight, dtype=np.float64) for weight in weights),
+        tuple(np.array(bias, dtype=np.float64) for bias in biases),
         _activation(table["activation"]),
         *_scalings(table["scaling"]),
     )
@@ -165,7 +167,7 @@ def _model(
         dict(table.get("origin", {})),
     )
     sizes = [len(model.inputs), *(len(bias) for bias in network.biases)]
-    shapes = [one.shape for one in network.weights]
+    shapes = [weight.shape for weight in network.weights]
     if not shapes or shapes != list(pairwise(sizes)) or sizes[-1] != len(model.outputs):
         layers = ", ".join(" x ".join(map(str, shape)) for shape in shapes) or "no layer"
         raise ValueError(
@@ -212,11 +214,11 @@ def _scaling_of(network: Network) -> dict[str, FloatArray]:
 
 
 def _scalings(table: Mapping[str, Any]) -> tuple[Scaling, Scaling]:
-    one, other = (
+    first, other = (
         Scaling(np.array(table[f"{of}_mean"], dtype=float), np.array(table[f"{of}_scale"], dtype=float))
         for of in ("input", "output")
     )
-    return one, other
+    return first, other
 
 
 INVERSES = "labrun.inverses"

@@ -73,7 +73,7 @@ class Network:
     @property
     def finite(self) -> bool:
         """Tell whether all its numbers are."""
-        return all(bool(np.isfinite(one).all()) for one in (*self.weights, *self.biases))
+        return all(bool(np.isfinite(weight).all()) for weight in (*self.weights, *self.biases))
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Return the outputs, shape (n, outputs), for inputs of shape (n, inputs)."""

@@ -30,8 +30,10 @@ def exact_affine(inputs: FloatArray, outputs: FloatArray) -> Network:
     """
     before, after = Scaling.of(inputs), Scaling.of(outputs)
     columns = np.column_stack([before.scaled(inputs), np.ones(len(inputs))])
-    found = np.asarray(np.linalg.lstsq(columns, after.scaled(outputs), rcond=None)[0], dtype=np.float64)
-    return Network((found[:-1],), (found[-1],), "identity", before, after)
+    coefficients = np.asarray(
+        np.linalg.lstsq(columns, after.scaled(outputs), rcond=None)[0], dtype=np.float64
+    )
+    return Network((coefficients[:-1],), (coefficients[-1],), "identity", before, after)
 
 
 class SlidingAffine:
@@ -78,12 +80,12 @@ class SlidingAffine:
         window = self._window
         if window is not None:
             for row in range(len(z)):
-                place = (self.count + row) % window
+                slot = (self.count + row) % window
                 if self.count + row >= window:
-                    old_z, old_e = self._z[place], self._e[place]
+                    old_z, old_e = self._z[slot], self._e[slot]
                     self._gram -= np.outer(old_z, old_z)
                     self._moment -= np.outer(old_z, old_e)
-                self._z[place], self._e[place] = z[row], e[row]
+                self._z[slot], self._e[slot] = z[row], e[row]
             if (self.count + len(z)) // _REFRESH > self.count // _REFRESH:
                 kept = min(self.count + len(z), window)
                 self._gram = self._z[:kept].T @ self._z[:kept]
@@ -179,8 +181,8 @@ def train(
         began_s = time.perf_counter()
         made.fit(x, y)
         took_s = time.perf_counter() - began_s
-    weights = tuple(np.asarray(one, dtype=np.float64) for one in made.coefs_)
-    biases = tuple(np.asarray(one, dtype=np.float64) for one in made.intercepts_)
+    weights = tuple(np.asarray(layer, dtype=np.float64) for layer in made.coefs_)
+    biases = tuple(np.asarray(layer, dtype=np.float64) for layer in made.intercepts_)
     return Network(weights, biases, training.activation, before, after), took_s
 
 

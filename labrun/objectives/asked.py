@@ -89,11 +89,11 @@ class Asked:
         choices = self._keys.choices
         if choices is not None:
             near = [
-                place
-                for place, word in enumerate(choices)
+                index
+                for index, word in enumerate(choices)
                 if typed and word.lower().startswith(typed.lower())
             ]
-            exact = [place for place, word in enumerate(choices) if word.lower() == typed.lower()]
+            exact = [index for index, word in enumerate(choices) if word.lower() == typed.lower()]
             if len(exact or near) != 1:
                 raise ValueError(f"{typed!r} is none of the choices; {self._wanted}")
             return float((exact or near)[0])

@@ -65,12 +65,12 @@ class RateOfChange(ChannelObjective):
 
 def _at(signals: TrialSignals, channel: str, times_s: tuple[float, float]) -> tuple[float, float]:
     """Return a channel at two times, between the samples beside each."""
-    found: dict[float, float] = {}
+    values: dict[float, float] = {}
     for piece in signals.pieces(channel):
         known = piece.known()
         for at_s in times_s if len(known.time_s) else ():
-            if at_s >= known.time_s[0] or at_s not in found:
-                found[at_s] = float(np.interp(at_s, known.time_s, known.values))
-    if not found:
+            if at_s >= known.time_s[0] or at_s not in values:
+                values[at_s] = float(np.interp(at_s, known.time_s, known.values))
+    if not values:
         raise ExperimentError(f"{channel} holds no number")
-    return found[times_s[0]], found[times_s[1]]
+    return values[times_s[0]], values[times_s[1]]

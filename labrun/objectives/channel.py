@@ -125,8 +125,8 @@ class Following:
             kept = self._time_s >= time_s[0] - 1.0
             self._time_s = np.concatenate([self._time_s[kept], piece.time_s])
             self._values = np.concatenate([self._values[kept], piece.values])
-        found: FloatArray = np.interp(time_s, self._time_s, self._values)
-        return found
+        following: FloatArray = np.interp(time_s, self._time_s, self._values)
+        return following
 
 
 class Mean(ReducedChannel):

@@ -62,11 +62,11 @@ class Extremes(ChannelObjective):
             cycle = np.clip(((piece.time_s - start_s) / period_s).astype(int), 0, count - 1)
             np.maximum.at(high, cycle, values)
             np.minimum.at(low, cycle, values)
-        found = {"largest": high, "smallest": low, "range": high - low}[keys.which]
-        if not np.isfinite(found).all():
+        extreme = {"largest": high, "smallest": low, "range": high - low}[keys.which]
+        if not np.isfinite(extreme).all():
             raise ExperimentError(f"{self.channel} has a cycle without samples")
         if keys.give == "mean":
-            return float(found.mean())
+            return float(extreme.mean())
         if count < 2:
             raise ExperimentError(
                 f"{self.channel}: an interval over cycles needs two of them",
@@ -74,7 +74,7 @@ class Extremes(ChannelObjective):
             )
         from scipy.stats import t as student
 
-        return float(student.ppf(0.975, count - 1) * found.std(ddof=1) / math.sqrt(count))
+        return float(student.ppf(0.975, count - 1) * extreme.std(ddof=1) / math.sqrt(count))
 
 
 def smoothed(time_s: FloatArray, values: FloatArray, over_s: float) -> FloatArray:
@@ -100,11 +100,11 @@ def smoothed(time_s: FloatArray, values: FloatArray, over_s: float) -> FloatArra
 
 def _integral(at_s: FloatArray, time_s: FloatArray, values: FloatArray, area: FloatArray) -> FloatArray:
     """Return the integral of straight lines between samples from the first one on."""
-    place = np.clip(np.searchsorted(time_s, at_s, side="right") - 1, 0, len(time_s) - 2)
-    passed = at_s - time_s[place]
-    slope = (values[place + 1] - values[place]) / (time_s[place + 1] - time_s[place])
-    found: FloatArray = area[place] + passed * (values[place] + 0.5 * slope * passed)
-    return found
+    index = np.clip(np.searchsorted(time_s, at_s, side="right") - 1, 0, len(time_s) - 2)
+    passed = at_s - time_s[index]
+    slope = (values[index + 1] - values[index]) / (time_s[index + 1] - time_s[index])
+    integral: FloatArray = area[index] + passed * (values[index] + 0.5 * slope * passed)
+    return integral
 
 
 class ShareOfTimeSettings(ChannelSettings):
@@ -148,7 +148,8 @@ class ShareOfTime(ReducedChannel):
             return self._number(map(self._scaled, pieces))
         other = Following(signals.counting_pieces(self._settings.less))
         return self._number(
-            self._scaled(Signal(one.time_s, one.values - other.at(one.time_s), one.unit)) for one in pieces
+            self._scaled(Signal(piece.time_s, piece.values - other.at(piece.time_s), piece.unit))
+            for piece in pieces
         )
 
     def _number(self, pieces: Iterable[Signal]) -> float:

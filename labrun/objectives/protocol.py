@@ -108,14 +108,14 @@ class TrialSignals:
         start = max(self.start_s, self.counts_from_s)
         if slowest is not None:
             start = max(start, self.start_s + self.discard_cycles / slowest)
-        found = averaging_window(start, self.end_s, tuple(self.frequencies_hz.values()), average, own)
-        if found is None:
+        window = averaging_window(start, self.end_s, tuple(self.frequencies_hz.values()), average, own)
+        if window is None:
             of = "the slowest joint" if average == "beats" else average.cycles_of
             raise ExperimentError(
                 f"what counts of the recording, {start:.4g} to {self.end_s:.4g} s, holds no whole cycle of {of}",
                 hint="make the trial longer, or discard fewer cycles",
             )
-        return found
+        return window
 
     def counting(self, channel: str) -> Signal:
         """Return a channel's samples within `window`, with a sample made at either end of it.
@@ -192,8 +192,8 @@ def _nothing() -> Points:
 
 def _last(signal: Signal, which: NDArray[np.bool_], otherwise: Points) -> Points:
     """Return the last of the samples that are meant, of shape (1,)."""
-    found = np.flatnonzero(which)[-1:]
-    return (signal.time_s[found], signal.values[found]) if len(found) else otherwise
+    last = np.flatnonzero(which)[-1:]
+    return (signal.time_s[last], signal.values[last]) if len(last) else otherwise
 
 
 def _at(time_s: float, before: Points, after_s: FloatArray, after: FloatArray) -> Points:

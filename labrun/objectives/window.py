@@ -100,11 +100,11 @@ def left_over(frequency_hz: float, length_s: FloatArray | float) -> FloatArray:
 def _lines(frequencies_hz: Iterable[float]) -> list[_Line]:
     """Return harmonics of each frequency, and sums and differences of each two."""
     own = sorted(set(frequencies_hz))
-    found = [_Line(k * f) for f in own for k in range(1, _HARMONICS + 1)]
-    for one, other in itertools.combinations(own, 2):
-        found += [_Line(one + other), _Line(other - one, (one, other))]
+    lines = [_Line(k * f) for f in own for k in range(1, _HARMONICS + 1)]
+    for first, other in itertools.combinations(own, 2):
+        lines += [_Line(first + other), _Line(other - first, (first, other))]
     return sorted(
-        (line for line in found if line.frequency_hz > _SAME_HZ), key=lambda line: line.frequency_hz
+        (line for line in lines if line.frequency_hz > _SAME_HZ), key=lambda line: line.frequency_hz
     )
 
 
@@ -126,8 +126,8 @@ def truncation_bound(signal: Signal, frequencies_hz: Iterable[float]) -> float:
         if line is not None and (line.frequency_hz - cell[0].frequency_hz) * length_s < 1.0:
             cell.append(line)
             continue
-        size = max(_amplitude(signal, one, length_s) for one in cell)
-        total += size * max(float(left_over(one.frequency_hz, length_s)) for one in cell)
+        size = max(_amplitude(signal, candidate, length_s) for candidate in cell)
+        total += size * max(float(left_over(candidate.frequency_hz, length_s)) for candidate in cell)
         cell = [] if line is None else [line]
     return total
 

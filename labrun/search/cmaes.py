@@ -279,7 +279,7 @@ class _Search:
         measured = [
             (cost, item) for item in self._known.values() if (cost := item.cost(self._sign)) is not None
         ]
-        return min(measured, key=lambda one: one[0])[1] if measured else None
+        return min(measured, key=lambda pair: pair[0])[1] if measured else None
 
     def _is_constant(self) -> bool:
         """Tell whether all trials of at least two different candidates gave the same value, to the last bit."""

@@ -76,9 +76,9 @@ class ConstraintError(SpecError):
     """
 
     def __init__(self, constraint: Constraint, reason: str) -> None:
-        place = f"{dotted(constraint.key)}: " if constraint.key else ""
+        prefix = f"{dotted(constraint.key)}: " if constraint.key else ""
         super().__init__(
-            f"{place}constraint {constraint.text!r}: {reason}",
+            f"{prefix}constraint {constraint.text!r}: {reason}",
             hint="a constraint needs a finite value everywhere in the ranges of what varies",
         )
         self.key = constraint.key
@@ -105,11 +105,11 @@ def _violation(tree: ast.expr, names: Mapping[str, object]) -> FloatArray:
 
 
 def _miss(op: ast.cmpop, left: ast.expr, right: ast.expr, names: Mapping[str, object]) -> FloatArray:
-    one, other = _side(left, names), _side(right, names)
-    if not (np.issubdtype(one.dtype, np.number) and np.issubdtype(other.dtype, np.number)):
-        equal = np.asarray(one == other)
+    first, other = _side(left, names), _side(right, names)
+    if not (np.issubdtype(first.dtype, np.number) and np.issubdtype(other.dtype, np.number)):
+        equal = np.asarray(first == other)
         return np.asarray(equal if isinstance(op, ast.NotEq) else ~equal, dtype=float)
-    a, b = one.astype(float), other.astype(float)
+    a, b = first.astype(float), other.astype(float)
     slack = _TOLERANCE * np.maximum(np.abs(a), np.abs(b))
     if isinstance(op, ast.Gt | ast.GtE):
         a, b = b, a

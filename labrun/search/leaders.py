@@ -66,7 +66,7 @@ class Measures(Protocol):
 
 def honest_best(
     session: Measures,
-    found: Sequence[Measured],
+    measured_all: Sequence[Measured],
     *,
     objective: str,
     goal: Goal,
@@ -80,7 +80,7 @@ def honest_best(
     ----------
     session
         Measures; fresh repeats have the role "fresh", confirming ones "confirm".
-    found
+    measured_all
         All measurements of the search; several of one condition are pooled.
     leaders
         How many leaders, and how many fresh repeats each.
@@ -92,11 +92,11 @@ def honest_best(
     Best or None
         None if no trial was accepted.
     """
-    measured = ((m.condition, m.values(objective), m.truncation(objective)) for m in found)
+    measured = ((m.condition, m.values(objective), m.truncation(objective)) for m in measured_all)
     top = leading_conditions(measured, goal, leaders.count)
     if not top:
         return None
-    known = {condition_key(one) for one in top}
+    known = {condition_key(condition) for condition in top}
     top += [guest for guest in guests if condition_key(guest) not in known]
     rule = RepeatRule(min=leaders.repeats, max=leaders.repeats)
     fresh = session.measure(top, role="fresh", repeats=rule)
@@ -108,7 +108,7 @@ def honest_best(
     values = np.concatenate([m.values(objective) for m in confirmed])
     if len(values) == 0:
         return None
-    everything = np.concatenate([m.values(objective) for m in (*found, *fresh, *confirmed)])
+    everything = np.concatenate([m.values(objective) for m in (*measured_all, *fresh, *confirmed)])
     truncation = confirmed[0].truncation(objective)
     luckiest = everything.max() if goal == "maximise" else everything.min()
     return Best(
@@ -124,7 +124,7 @@ def honest_best(
 
 
 def leading_conditions(
-    found: Iterable[tuple[Condition, FloatArray, float]], goal: Goal, count: int | None = None
+    measured: Iterable[tuple[Condition, FloatArray, float]], goal: Goal, count: int | None = None
 ) -> list[Condition]:
     """Return the most promising distinct conditions, best first, by shrunken means; all of them without a `count`.
 
@@ -139,7 +139,7 @@ def leading_conditions(
     pooled: dict[tuple[tuple[str, object], ...], list[FloatArray]] = {}
     conditions: dict[tuple[tuple[str, object], ...], Condition] = {}
     cut: dict[tuple[tuple[str, object], ...], float] = {}
-    for condition, values, truncation in found:
+    for condition, values, truncation in measured:
         key = condition_key(condition)
         conditions.setdefault(key, condition)
         cut[key] = max(cut.get(key, 0.0), truncation)
@@ -214,7 +214,7 @@ class BestSoFar:
         mean = (known.value * known.trials + value) / (known.trials + 1)
         self._known[key] = replace(known, value=mean, trials=known.trials + 1)
         self.best = max(
-            self._known.values(), key=lambda one: (one.trials >= self._repeats, self._sign * one.value)
+            self._known.values(), key=lambda best: (best.trials >= self._repeats, self._sign * best.value)
         )
         return self.best != before
 
@@ -288,7 +288,8 @@ def scatter(samples: Iterable[tuple[FloatArray, Numbers]]) -> Scatter:
     within_freedom = between_freedom = 0
     for values, mountings in samples:
         groups = [
-            values[np.array([one == number for one in mountings])] for number in dict.fromkeys(mountings)
+            values[np.array([mounting == number for mounting in mountings])]
+            for number in dict.fromkeys(mountings)
         ]
         sizes = np.array([len(group) for group in groups])
         if not len(values):
@@ -302,5 +303,7 @@ def scatter(samples: Iterable[tuple[FloatArray, Numbers]]) -> Scatter:
     if not between_freedom:
         return Scatter(None if variance is None else math.sqrt(variance), within_freedom, None, 0)
     excess = between - between_freedom * (variance or 0.0)
-    found = math.sqrt(max(0.0, excess / weight))
-    return Scatter(None if variance is None else math.sqrt(variance), within_freedom, found, between_freedom)
+    scatter_ = math.sqrt(max(0.0, excess / weight))
+    return Scatter(
+        None if variance is None else math.sqrt(variance), within_freedom, scatter_, between_freedom
+    )

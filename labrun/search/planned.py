@@ -129,11 +129,11 @@ def _sampled(sweep: Sweep, where: list[Constraint], seed: int) -> list[Condition
     width = np.array([float(axis.stop) - float(axis.start) for axis in intervals.values()])
     rng = np.random.default_rng(np.random.SeedSequence((seed, _DESIGN_STREAM)))
     sobol = qmc.Sobol(len(intervals), rng=rng) if sweep.design == "sobol" else None
-    found: list[Condition] = []
+    sampled: list[Condition] = []
     drawn = 0
     block = max(samples, 256)
     tried: list[NDArray[np.float64]] = []
-    while len(found) < samples and drawn < _DRAWS_PER_SAMPLE * block:
+    while len(sampled) < samples and drawn < _DRAWS_PER_SAMPLE * block:
         if sobol is None:
             points = rng.random((block, len(intervals)))
         else:
@@ -147,16 +147,16 @@ def _sampled(sweep: Sweep, where: list[Constraint], seed: int) -> list[Condition
         keep = np.ones(block, dtype=bool)
         for constraint in where:
             keep &= constraint.holds(columns)
-        found += _rows(columns, keep)
-    if len(found) < samples:
+        sampled += _rows(columns, keep)
+    if len(sampled) < samples:
         columns = _columns(intervals, lower + width * np.concatenate(tried))
-        if not found:
+        if not sampled:
             _kept(columns, where, f"{len(columns[next(iter(columns))]):,} random points")
         raise PlanError(
-            f"only {len(found)} of {drawn:,} random points satisfy the constraints; {samples} are wanted",
+            f"only {len(sampled)} of {drawn:,} random points satisfy the constraints; {samples} are wanted",
             hint="narrow the axes to where the constraints hold",
         )
-    return found[:samples]
+    return sampled[:samples]
 
 
 def _columns(intervals: Mapping[str, object], points: NDArray[np.float64]) -> dict[str, NDArray[np.generic]]:
@@ -208,13 +208,13 @@ def excess_at_settings(excess_of: LimitExcesses, settings: Sequence[Condition]) 
     """Return a function that tells what a candidate would break at any of the settings, each limit once."""
 
     def excess(condition: Condition) -> list[Excess]:
-        found: dict[str, Excess] = {}
-        for one in at_settings([condition], settings):
-            for item in excess_of(one):
-                known = found.get(item.quantity)
+        excesses: dict[str, Excess] = {}
+        for setting in at_settings([condition], settings):
+            for item in excess_of(setting):
+                known = excesses.get(item.quantity)
                 if known is None or abs(item.value - item.bound) > abs(known.value - known.bound):
-                    found[item.quantity] = item
-        return list(found.values())
+                    excesses[item.quantity] = item
+        return list(excesses.values())
 
     return excess
 
@@ -330,14 +330,14 @@ class OverSettings:
     ) -> Sequence[Combined]:
         """Measure each candidate at each setting, all of them shuffled; one answer a candidate."""
         asked = at_settings(conditions, self._settings)
-        found = list(self._session.measure(asked, role=role, repeats=repeats, order=order))
+        measured = list(self._session.measure(asked, role=role, repeats=repeats, order=order))
         count = len(self._settings)
         return [
             Combined(
                 condition,
-                tuple(found[place * count : (place + 1) * count]),
+                tuple(measured[index * count : (index + 1) * count]),
                 self._combine,
                 self._goal == "maximise",
             )
-            for place, condition in enumerate(conditions)
+            for index, condition in enumerate(conditions)
         ]

@@ -82,7 +82,7 @@ def _breaks(experiment: Experiment, excess_of: LimitExcesses) -> Callable[[Condi
     where = constraints([] if experiment.sweep is None else experiment.sweep.where, "sweep")
 
     def broken(condition: Condition) -> list[str]:
-        unmet = [one.text for one in where if not one.holds(condition)]
+        unmet = [constraint.text for constraint in where if not constraint.holds(condition)]
         return unmet or [str(excess) for excess in excess_of(condition)]
 
     return broken

@@ -118,36 +118,36 @@ class Ranking:
     def _repr_html_(self) -> str:
         return as_reported("ranking_text", self)
 
-    def name(self, place: int) -> str:
+    def name(self, index: int) -> str:
         """Return what a gait is called."""
-        return f"gait {self.gaits[place].get(NUMBER, place + 1):g}"
+        return f"gait {self.gaits[index].get(NUMBER, index + 1):g}"
 
     def to_json(self) -> dict[str, Any]:
         """Return everything, JSON-ready."""
-        told = {**asdict(self), "winner": None if self.winner is None else self.name(self.winner)}
-        del told["maximise"]
-        for column, own in zip(told["columns"], self.columns, strict=True):
-            for name, one in own.agreements.items():
-                if one is not None:
-                    column["agreements"][name]["carries_over"] = one.carries_over
-        return told
+        data = {**asdict(self), "winner": None if self.winner is None else self.name(self.winner)}
+        del data["maximise"]
+        for column, own in zip(data["columns"], self.columns, strict=True):
+            for name, agreed in own.agreements.items():
+                if agreed is not None:
+                    column["agreements"][name]["carries_over"] = agreed.carries_over
+        return data
 
-    def bound(self, column: FieldColumn, place: int) -> float | None:
+    def bound(self, column: FieldColumn, index: int) -> float | None:
         """Return the bound of a gait's interval that is farther from the goal; None without one."""
-        cell = column.cells[place]
+        cell = column.cells[index]
         if cell is None or cell.ci95 is None:
             return None
         return cell.ci95[0] if self.maximise else cell.ci95[1]
 
 
 def agreement(
-    one: Sequence[FloatArray], other: Sequence[FloatArray], rng: np.random.Generator
+    first: Sequence[FloatArray], other: Sequence[FloatArray], rng: np.random.Generator
 ) -> Agreement | None:
     """Return how far two orders agree; None for fewer than three candidates, or where one side has no order at all.
 
     Parameters
     ----------
-    one, other
+    first, other
         The values of each candidate's trials on either side, ordered alike.
     rng
         Of the resampling.
@@ -160,12 +160,12 @@ def agreement(
     """
     from scipy import stats
 
-    count = len(one)
-    means = np.array([values.mean() for values in one]), np.array([values.mean() for values in other])
+    count = len(first)
+    means = np.array([values.mean() for values in first]), np.array([values.mean() for values in other])
     if count < _LEAST or any(len(np.unique(side)) < 2 for side in means):
         return None
     exact = count <= _EXACT_UP_TO
-    found = []
+    differences = []
     for statistic in (_tau, _rho):
         tested = stats.permutation_test(
             (means[0],),
@@ -176,11 +176,19 @@ def agreement(
             alternative="two-sided",
             rng=rng,
         )
-        found.append((float(tested.statistic), float(tested.pvalue)))
-    intervals = _intervals(one, other, rng)
+        differences.append((float(tested.statistic), float(tested.pvalue)))
+    intervals = _intervals(first, other, rng)
     ties = sum(math.comb(int(n), 2) for side in means for n in np.unique(side, return_counts=True)[1])
     return Agreement(
-        count, found[0][0], found[0][1], intervals[0], found[1][0], found[1][1], intervals[1], exact, ties
+        count,
+        differences[0][0],
+        differences[0][1],
+        intervals[0],
+        differences[1][0],
+        differences[1][1],
+        intervals[1],
+        exact,
+        ties,
     )
 
 
@@ -214,14 +222,14 @@ def pooled_intervals(
     if unlike or not several:
         return [t_interval(values, (), cut) for values, cut in zip(samples, truncations, strict=True)]
     reach = float(stats.t.ppf(0.5 + _SHARE / 2, freedom)) * math.sqrt(squares / freedom)
-    found: list[tuple[float, float] | None] = []
+    intervals: list[tuple[float, float] | None] = []
     for values, cut in zip(samples, truncations, strict=True):
         if len(values) < 2:
-            found.append(None)
+            intervals.append(None)
             continue
         mean, half = float(values.mean()), reach / math.sqrt(len(values)) + cut
-        found.append((mean - half, mean + half))
-    return found
+        intervals.append((mean - half, mean + half))
+    return intervals
 
 
 def _against(
@@ -252,20 +260,20 @@ def _rho(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _intervals(
-    one: Sequence[FloatArray], other: Sequence[FloatArray], rng: np.random.Generator
+    first: Sequence[FloatArray], other: Sequence[FloatArray], rng: np.random.Generator
 ) -> list[tuple[float, float]]:
-    count = len(one)
+    count = len(first)
     chosen = rng.integers(count, size=(_RESAMPLES, count))
     sides = []
-    for values in (one, other):
+    for values in (first, other):
         drawn = np.column_stack(
             [v[rng.integers(len(v), size=(_RESAMPLES, len(v)))].mean(axis=1) for v in values]
         )
         sides.append(np.take_along_axis(drawn, chosen, axis=1))
     tail = 100 * (1 - _SHARE) / 2
-    found = []
+    intervals = []
     for statistic in (_tau, _rho):
         all_of_them = statistic(sides[0], sides[1])
         low, high = np.nanpercentile(all_of_them, [tail, 100 - tail])
-        found.append((float(low), float(high)))
-    return found
+        intervals.append((float(low), float(high)))
+    return intervals

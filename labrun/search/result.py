@@ -138,8 +138,8 @@ class RunResult:
     def searches_to_json(self) -> dict[str, Any]:
         """Return how each search ended and the winners of several, JSON-ready; empty where nothing was searched."""
         return {
-            **({"search": [one.to_record() for one in self.verdicts]} if self.verdicts else {}),
-            **({"winners": [one.to_json() for one in self.winners]} if self.winners else {}),
+            **({"search": [verdict.to_record() for verdict in self.verdicts]} if self.verdicts else {}),
+            **({"winners": [winner.to_json() for winner in self.winners]} if self.winners else {}),
         }
 
     def search_lines(self) -> list[str]:
@@ -209,8 +209,8 @@ def _from_record(run: Path, record: Mapping[str, Any]) -> RunResult:
         finished=True,
         reasons=record.get("reasons", {}),
         unsettled=record.get("unsettled", 0),
-        verdicts=tuple(Verdict.from_record(one) for one in record.get("search", ())),
-        winners=tuple(Best.from_record(one) for one in record.get("winners", ())),
+        verdicts=tuple(Verdict.from_record(verdict) for verdict in record.get("search", ())),
+        winners=tuple(Best.from_record(winner) for winner in record.get("winners", ())),
         more=tuple(record.get("more", ())),
     )
 
@@ -237,14 +237,16 @@ def apart_text(winners: Sequence[Best], levels: Sequence[Mapping[str, Value]]) -
     near = [other for other in others if not _apart(first, other)]
     if not near:
         return f"{at} stands apart: its 95 % interval overlaps no other"
-    rest = " and ".join(condition_text({name: one.parameters[name] for name in names}) for one in near)
+    rest = " and ".join(
+        condition_text({name: candidate.parameters[name] for name in names}) for candidate in near
+    )
     return f"{at} is not told apart from {rest}: their 95 % intervals overlap"
 
 
-def _apart(one: Best, other: Best) -> bool:
-    if one.ci95 is None or other.ci95 is None:
+def _apart(best: Best, other: Best) -> bool:
+    if best.ci95 is None or other.ci95 is None:
         return False
-    return one.ci95[0] > other.ci95[1] or one.ci95[1] < other.ci95[0]
+    return best.ci95[0] > other.ci95[1] or best.ci95[1] < other.ci95[0]
 
 
 def reason_lines(reasons: Mapping[str, int]) -> list[str]:
@@ -257,8 +259,8 @@ def reason_lines(reasons: Mapping[str, int]) -> list[str]:
         alike.setdefault(_MEASURED.sub("=", reason), []).append((count, reason))
     groups = sorted(
         (
-            (sum(count for count, _ in one), max(one, key=lambda item: item[0])[1], len(one))
-            for one in alike.values()
+            (sum(count for count, _ in repeats), max(repeats, key=lambda item: item[0])[1], len(repeats))
+            for repeats in alike.values()
         ),
         key=lambda group: -group[0],
     )

@@ -58,14 +58,14 @@ def allowed_points(search: CmaEs) -> Allowed:
         if not holds.all():
             breaks.append(SpaceBreak(constraint.text, 1.0 - float(holds.mean())))
     chosen = np.flatnonzero(keep)[:_MOTIONS]
-    found: list[Condition] = [
+    conditions: list[Condition] = [
         {name: float(column[index]) for name, column in columns.items()} for index in chosen
     ]
-    return Allowed(found, float(keep.mean()), tuple(breaks))
+    return Allowed(conditions, float(keep.mean()), tuple(breaks))
 
 
 def survey_space(
-    experiment: Experiment, allowed: Allowed, found: Plan, excess_of: LimitExcesses
+    experiment: Experiment, allowed: Allowed, plan: Plan, excess_of: LimitExcesses
 ) -> SearchSpace:
     """Return how much of a search's space may run.
 
@@ -75,7 +75,7 @@ def survey_space(
         With a table [cmaes].
     allowed
         The points looked at.
-    found
+    plan
         Their plan.
     excess_of
         Returns which limits a condition would leave.
@@ -87,7 +87,7 @@ def survey_space(
     """
     assert experiment.cmaes is not None  # noqa: S101  (there would be no points)
     start = Feasibility(experiment.cmaes, excess_of).of([start_of_search(experiment)])[0]
-    outside = at_points(found.excess, allowed.conditions)
+    outside = at_points(plan.excess, allowed.conditions)
     inside = 1.0 - len(outside) / len(allowed.conditions) if allowed.conditions else 0.0
     by_limits = _limit_breaks(outside, len(allowed.conditions), allowed.share)
     breaks = tuple(sorted((*allowed.breaks, *by_limits), key=lambda item: -item.share))
@@ -112,11 +112,11 @@ def at_points(excess: Iterable[ConditionExcess], points: Sequence[Condition]) ->
 
 def _limit_breaks(outside: Sequence[ConditionExcess], points: int, share: float) -> list[SpaceBreak]:
     """Return each limit that points leave, with the share of the whole space that does."""
-    found: dict[tuple[str, float], list[Excess]] = {}
+    excesses: dict[tuple[str, float], list[Excess]] = {}
     for item in outside:
         for excess in item.excess:
-            found.setdefault((excess.quantity, excess.bound), []).append(excess)
-    return [_limit_break(several, share * len(several) / points) for several in found.values()]
+            excesses.setdefault((excess.quantity, excess.bound), []).append(excess)
+    return [_limit_break(several, share * len(several) / points) for several in excesses.values()]
 
 
 def _limit_break(several: Sequence[Excess], share: float) -> SpaceBreak:

@@ -77,8 +77,8 @@ def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Fault
     faults: list[Fault] = []
     devices: dict[str, DeviceInfo] = {}
     for name, device in tables(data, "rig", "devices").items():
-        devices[name], found = examine(name, device)
-        faults += found
+        devices[name], device_faults = examine(name, device)
+        faults += device_faults
     conditions = condition_names(data)
     faults += check_plugins(data, devices)
     faults += _check_fit(data, path)
@@ -121,8 +121,8 @@ def _check_model(model: object, path: KeyPath, experiment: Path | None) -> Itera
     if find_model_file(model, experiment, Path()) is not None:
         return
     if model.endswith(".toml"):
-        beside = sorted((experiment.parent / model).parent.glob("*.toml"))
-        known = [str(Path(model).parent / item.name) for item in beside if item != experiment]
+        siblings = sorted((experiment.parent / model).parent.glob("*.toml"))
+        known = [str(Path(model).parent / item.name) for item in siblings if item != experiment]
         yield from check_name(model, path, known, "there is no such model file", kind="model files")
     elif ":" in model or registry.is_installed("labrun.models", model):
         yield from load_plugin("labrun.models", model, path)[1]
@@ -154,10 +154,10 @@ def _check_names(
     if data.get("kind") == "design":  # it has no devices, and its joints are the model's
         known["driven joint"] = [str(name) for _, name in places(data, "gait.joints.~")]
     for what, (message, kind, patterns) in _NAMES.items():
-        for path, named in (found for pattern in patterns for found in places(data, pattern)):
+        for path, named in (entry for pattern in patterns for entry in places(data, pattern)):
             if not (what == "joint of the gait" and "." in str(named)):
                 yield from check_name(named, path, known[what], message, kind=kind)
-    for path, channel in (found for pattern in _CHANNELS for found in places(data, pattern)):
+    for path, channel in (entry for pattern in _CHANNELS for entry in places(data, pattern)):
         if path[1] == "signals" and str(channel).startswith("command."):
             joint = str(channel).removeprefix("command.")
             yield from check_name(joint, path, joints, f'the gait has no joint "{joint}"', kind="joints")
@@ -187,7 +187,7 @@ def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Fau
         yield from _same_names(reference, ("trial", "reference", "condition"), names)
     kind = str(data.get("kind"))
     listed: KeyPath = ("track" if kind == "track" else "run", "conditions", 0)
-    place: KeyPath = {
+    key_path: KeyPath = {
         "sweep": ("sweep", "axes"),
         "cmaes": ("cmaes", "variables"),
         "design": ("design", "variables"),
@@ -196,7 +196,7 @@ def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Fau
     taken |= dict.fromkeys(table(data, "gait", "let"), "a part of let")
     for name in names:
         if name in taken:
-            yield Fault((*place, name), f"this name is {taken[name]} already; choose another name")
+            yield Fault((*key_path, name), f"this name is {taken[name]} already; choose another name")
 
 
 def _check_over(data: Mapping[str, Any]) -> Iterator[Fault]:
@@ -269,19 +269,19 @@ def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterat
     for path, speed in places(data, "trial.carriage.speed_m_s"):
         yield from check_expression(speed, path, conditions)
     if data.get("kind") == "design":
-        for path, expression in (found for pattern in _EXPRESSIONS for found in places(data, pattern)):
+        for path, expression in (entry for pattern in _EXPRESSIONS for entry in places(data, pattern)):
             yield from check_expression(expression, path, list(table(data, "design", "variables")))
     for kind, known in (("sweep", "axes"), ("cmaes", "variables"), ("design", "variables")):
         where = table(data, kind).get("where")
         for number, expression in enumerate(where if isinstance(where, list) else []):
             path = (kind, "where", number)
             names = [*table(data, kind, known), *(_summaries_in(expression) if kind == "design" else ())]
-            found = list(check_expression(expression, path, names))
-            if not found and isinstance(expression, str) and not Expression.of(expression).is_comparison:
-                found.append(
+            faults = list(check_expression(expression, path, names))
+            if not faults and isinstance(expression, str) and not Expression.of(expression).is_comparison:
+                faults.append(
                     Fault(path, 'is no comparison; write for example "a + abs(b) <= 60"', at_value=True)
                 )
-            yield from found
+            yield from faults
 
 
 def _summaries_in(expression: object) -> list[str]:

@@ -34,9 +34,9 @@ def condition_key(condition: Condition) -> tuple[tuple[str, Value], ...]:
 
 def varying(conditions: Iterable[Condition]) -> list[str]:
     """Return the names whose value is not the same in all conditions; all names where none varies."""
-    found = list(conditions)
-    names = list(dict.fromkeys(name for condition in found for name in condition))
-    return [name for name in names if len({condition.get(name) for condition in found}) > 1] or names
+    listed = list(conditions)
+    names = list(dict.fromkeys(name for condition in listed for name in condition))
+    return [name for name in names if len({condition.get(name) for condition in listed}) > 1] or names
 
 
 def only(condition: Condition, names: Collection[str]) -> dict[str, Value]:

@@ -93,10 +93,10 @@ def _below(model: type[BaseModel], where: str, parts: list[str]) -> list[Key]:
     name, *rest = parts
     fields = dict(_fields(model))
     if name not in fields:
-        place = f"[{where}]" if where else "the top of an experiment file"
+        location = f"[{where}]" if where else "the top of an experiment file"
         deeper = _in_tables(fields, ".".join(parts)) if not where else []
         hint = f"labrun keys {deeper[0]}" if len(deeper) == 1 else suggest(name, deeper or list(fields))
-        raise RequestError(f"{place} has no key {name!r}", hint=hint)
+        raise RequestError(f"{location} has no key {name!r}", hint=hint)
     at, group = f"{where}.{name}" if where else name, _GROUPS.get(name)
     if group is not None and rest and registry.is_installed(group, rest[0]):
         return _below(_plugin_model(group, rest[0]), f"{at}.{rest[0]}", rest[1:])
@@ -117,9 +117,9 @@ def _below(model: type[BaseModel], where: str, parts: list[str]) -> list[Key]:
         own,
         *_table(inner, f"{at}.NAME" if by_name else at),
         *(
-            Key(f"{at}.{one}", "keys of this plugin", "", "", "")
-            for one in plugins
-            if not one.startswith("simulated-")
+            Key(f"{at}.{plugin}", "keys of this plugin", "", "", "")
+            for plugin in plugins
+            if not plugin.startswith("simulated-")
         ),
     ]
 
@@ -143,24 +143,27 @@ def explained(model: type[BaseModel]) -> list[Key]:
         )
     if extra := [key for key in words if key not in keys]:
         raise ValueError(f"keys.toml explains keys that [{model.__name__}] does not have: {', '.join(extra)}")
-    return [_key(model, name, found, name) for name, found in keys.items()]
+    return [_key(model, name, key, name) for name, key in keys.items()]
 
 
 def _table(model: type[BaseModel], where: str) -> list[Key]:
-    return [_key(model, name, found, f"{where}.{name}" if where else name) for name, found in _fields(model)]
+    return [_key(model, name, info, f"{where}.{name}" if where else name) for name, info in _fields(model)]
 
 
 def _fields(model: type[BaseModel]) -> list[tuple[str, FieldInfo]]:
-    return [(found.alias or name, found) for name, found in model.model_fields.items()]
+    return [(field.alias or name, field) for name, field in model.model_fields.items()]
 
 
-def _key(model: type[BaseModel], name: str, found: FieldInfo, where: str) -> Key:
+def _key(model: type[BaseModel], name: str, field: FieldInfo, where: str) -> Key:
     meaning = next(
-        (WORDS[one.__name__][name] for one in model.__mro__ if name in WORDS.get(one.__name__, {})), ""
+        (WORDS[class_.__name__][name] for class_ in model.__mro__ if name in WORDS.get(class_.__name__, {})),
+        "",
     )
     if not meaning:
-        meaning = next((said[name] for one in model.__mro__ if name in (said := _attributes(one))), "")
-    return Key(where, _taken(found.annotation, found.metadata), _default(found), _unit(name), meaning)
+        meaning = next(
+            (attributes[name] for class_ in model.__mro__ if name in (attributes := _attributes(class_))), ""
+        )
+    return Key(where, _taken(field.annotation, field.metadata), _default(field), _unit(name), meaning)
 
 
 @cache
@@ -210,9 +213,9 @@ def _model_within(annotation: Any) -> tuple[type[BaseModel] | None, bool]:
     if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
         return _model_within(inner[1])[0], True
     for member in inner if origin in (Annotated, Union, types.UnionType) else ():
-        found = _model_within(member)
-        if found[0] is not None:
-            return found
+        inner = _model_within(member)
+        if inner[0] is not None:
+            return inner
     return None, False
 
 

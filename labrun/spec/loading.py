@@ -186,11 +186,11 @@ def load_experiment(path: Path, overrides: Sequence[str] = ()) -> LoadedExperime
         All that is wrong with it, each with file, line and column.
     """
     text = text_of(path, what="experiment file")
-    return _load(text, path.stem, path, overrides, beside=path)
+    return _load(text, path.stem, path, overrides, relative_to=path)
 
 
 def loads_experiment(
-    text: str, name: str, *, plugins: bool = True, beside: Path | None = None
+    text: str, name: str, *, plugins: bool = True, relative_to: Path | None = None
 ) -> LoadedExperiment:
     """Read an experiment from its text, for example from the spec stored with a run.
 
@@ -203,7 +203,7 @@ def loads_experiment(
     plugins
         False to read what a run stored: how its tables fit together, and to the plugins, was checked when the run
         began. The plugins need not be installed to look at what they measured.
-    beside
+    relative_to
         Where the text stood as a file, if it names others; what a run stored names none.
 
     Raises
@@ -211,7 +211,7 @@ def loads_experiment(
     SpecError
         All that is wrong with it.
     """
-    return _load(text, name, Path(f"{name}.toml"), (), plugins=plugins, beside=beside)
+    return _load(text, name, Path(f"{name}.toml"), (), plugins=plugins, relative_to=relative_to)
 
 
 def _load(
@@ -220,23 +220,23 @@ def _load(
     path: Path,
     overrides: Sequence[str],
     *,
-    beside: Path | None = None,
+    relative_to: Path | None = None,
     plugins: bool = True,
 ) -> LoadedExperiment:
-    if beside is not None:
-        registry.look_beside(beside)
+    if relative_to is not None:
+        registry.look_beside(relative_to)
     data = parsed(text, str(path), kind=SpecError)
     _expand_short_forms(data, overrides)
     origins = apply_overrides(data, overrides)
-    unreadable, nameless = _embed_files(data, beside), _names_of_leaders(data, beside)
+    unreadable, nameless = _embed_files(data, relative_to), _names_of_leaders(data, relative_to)
     experiment, faults = validate(Experiment, data)
     # without the table of its kind, or with conditions that cannot be read, no name of a condition is known
     unnamed = any(
-        one.path == ("kind",) or one.path[1:2] == ("conditions",) for one in faults
+        fault.path == ("kind",) or fault.path[1:2] == ("conditions",) for fault in faults
     ) and not condition_names(data)
     faults += [*unreadable, *nameless]
     if plugins and not (nameless or unnamed):  # every use of a condition's name would be a fault
-        faults += cross_check(data, beside)
+        faults += cross_check(data, relative_to)
     if experiment is None or faults:
         raise refusal(SpecError, str(path), Places(str(path), text, data, origins).of_all(faults))
     return LoadedExperiment(experiment, name, path, resolved(experiment), origins)
@@ -281,9 +281,11 @@ def load_named(
         No such experiment, a file that does not hold, or an experiment of another kind.
     """
     loaded = load_experiment(find_experiment(name, workspace), overrides)
-    found = loaded.experiment.kind
-    if kind is not None and found != kind:
-        raise RequestError(f'{loaded.name} has kind = "{found}", not "{kind}"', hint=f"labrun {found} {name}")
+    stored_kind = loaded.experiment.kind
+    if kind is not None and stored_kind != kind:
+        raise RequestError(
+            f'{loaded.name} has kind = "{stored_kind}", not "{kind}"', hint=f"labrun {stored_kind} {name}"
+        )
     return loaded
 
 
@@ -314,7 +316,7 @@ def _names_of_leaders(data: dict[str, Any], experiment: Path | None) -> list[Fau
     """Say what the conditions will be called that are leaders of other runs; return what is wrong with their names."""
     if experiment is None:
         return []
-    conditions, beside = table(data, "run").get("conditions"), table(data, "leaders").get("beside")
+    conditions, sibling = table(data, "run").get("conditions"), table(data, "leaders").get("beside")
     faults = []
     if isinstance(conditions, dict):
         path: KeyPath = ("run", "conditions", "leaders_of")
@@ -328,12 +330,12 @@ def _names_of_leaders(data: dict[str, Any], experiment: Path | None) -> list[Fau
                     path, f"the leaders' conditions have the names {listed}; name them alike", at_value=True
                 )
             )
-    if isinstance(beside, dict):
+    if isinstance(sibling, dict):
         path = ("leaders", "beside", "leaders_of")
-        faults += _name_leaders(beside, path, experiment)
+        faults += _name_leaders(sibling, path, experiment)
         shared = [*table(data, str(data.get("kind")), "over"), *table(data, str(data.get("kind")), "each")]
         own = {name for name in condition_names(data) if name not in shared}
-        theirs = set(beside.get("names", ())) - {"gait"}
+        theirs = set(sibling.get("names", ())) - {"gait"}
         if theirs and theirs != own - {"gait"}:
             listed = f"{', '.join(sorted(theirs))}; those here {', '.join(sorted(own))}"
             faults.append(
@@ -355,7 +357,7 @@ def _used_by_gait(data: Mapping[str, Any]) -> set[str]:
 
 def _name_leaders(wanted: dict[str, Any], path: KeyPath, experiment: Path) -> list[Fault]:
     given = wanted.get("leaders_of")
-    found: dict[str, list[str]] = {}
+    names_of: dict[str, list[str]] = {}
     for name in [given] if isinstance(given, str) else given if isinstance(given, list) else []:
         if not isinstance(name, str):
             continue
@@ -365,9 +367,9 @@ def _name_leaders(wanted: dict[str, Any], path: KeyPath, experiment: Path) -> li
             return [Fault(path, str(error), at_value=True)]
         theirs = parsed(text_of(file, what="experiment file"), str(file), kind=SpecError)
         over = table(theirs, str(theirs.get("kind")), "over")
-        found[name] = [one for one in condition_names(theirs) if one not in over]
-    if len({tuple(sorted(names)) for names in found.values()}) > 1:
-        listed = "; ".join(f"{name}: {', '.join(names)}" for name, names in found.items())
+        names_of[name] = [name for name in condition_names(theirs) if name not in over]
+    if len({tuple(sorted(names)) for names in names_of.values()}) > 1:
+        listed = "; ".join(f"{name}: {', '.join(names)}" for name, names in names_of.items())
         return [
             Fault(
                 path,
@@ -375,8 +377,8 @@ def _name_leaders(wanted: dict[str, Any], path: KeyPath, experiment: Path) -> li
                 at_value=True,
             )
         ]
-    if found:
-        wanted["names"] = ["gait", *next(iter(found.values()))]
+    if names_of:
+        wanted["names"] = ["gait", *next(iter(names_of.values()))]
     return []
 
 
@@ -388,8 +390,8 @@ def find_beside(name: str, experiment: Path) -> Path:
     RequestError
         There is none.
     """
-    beside = experiment.parent / f"{name}.toml"
-    return beside if beside.is_file() else find_experiment(name, experiment.parent.parent)
+    sibling = experiment.parent / f"{name}.toml"
+    return sibling if sibling.is_file() else find_experiment(name, experiment.parent.parent)
 
 
 def _that_name_files(data: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any, KeyPath]]:
@@ -407,16 +409,16 @@ def _that_name_files(data: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any, K
 
 
 def _find_file(experiment: Path, name: str) -> Path:
-    found = find_model_file(name, experiment, Path())
-    if found is None:
-        beside = sorted((experiment.parent / name).parent.glob(f"*{Path(name).suffix}"))
-        known = [str(Path(name).parent / item.name) for item in beside if item != experiment]
+    file = find_model_file(name, experiment, Path())
+    if file is None:
+        siblings = sorted((experiment.parent / name).parent.glob(f"*{Path(name).suffix}"))
+        known = [str(Path(name).parent / item.name) for item in siblings if item != experiment]
         kind = f"{Path(name).suffix} files".strip()
         raise SpecError(f'there is no file "{name}"; {suggest(name, known, kind=kind)}')
     shipped = shipped_experiments().resolve()
-    if found.resolve().is_relative_to(shipped) and not experiment.resolve().is_relative_to(shipped):
+    if file.resolve().is_relative_to(shipped) and not experiment.resolve().is_relative_to(shipped):
         raise SpecError(
             f'there is no file "{name}" in this workspace; labrun ships one of that name, of its own bench',
-            hint=f"make yours, or copy that one with what stands beside it: {found}",
+            hint=f"make yours, or copy that one with what stands beside it: {file}",
         )
-    return found
+    return file

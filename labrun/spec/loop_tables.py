@@ -156,8 +156,8 @@ class LoopTable(Table):
         """What it has several of."""
         return shape_of(
             self.drives,
-            [(one.plugin, one.settings) for one in self.feedbacks],
-            [(one.plugin, one.settings) for one in self.controllers.values()],
+            [(feedback.plugin, feedback.settings) for feedback in self.feedbacks],
+            [(controller.plugin, controller.settings) for controller in self.controllers.values()],
         )
 
 

@@ -181,12 +181,14 @@ def check_plugins(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) ->
 
 
 def _loop_channels(loops: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
-    found: list[str] = []
+    channels: list[str] = []
     for name, loop in loops.items():
-        feedbacks = [(one.get("plugin"), one) for _, one in one_or_several(loop, "feedback")]
-        controllers = [(one.get("plugin"), one) for one in tables(loop, "controllers").values()]
-        found += shape_of(drives_of(loop), feedbacks, controllers).channels(name)
-    return (*found, *TIMING_CHANNELS)
+        feedbacks = [(settings.get("plugin"), settings) for _, settings in one_or_several(loop, "feedback")]
+        controllers = [
+            (settings.get("plugin"), settings) for settings in tables(loop, "controllers").values()
+        ]
+        channels += shape_of(drives_of(loop), feedbacks, controllers).channels(name)
+    return (*channels, *TIMING_CHANNELS)
 
 
 def _check_scene(data: Mapping[str, Any]) -> Iterator[Fault]:

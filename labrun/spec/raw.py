@@ -73,12 +73,12 @@ def drives_of(loop: Mapping[str, Any]) -> list[str]:
 def one_or_several(loop: Mapping[str, Any], key: str) -> list[tuple[KeyPath, dict[str, Any]]]:
     """Return the tables of a loop's reference or feedback, each with its path inside the loop."""
     value = loop.get(key)
-    found = (
-        [((key, number), one) for number, one in enumerate(value)]
+    entries = (
+        [((key, number), entry) for number, entry in enumerate(value)]
         if isinstance(value, list)
         else [((key,), value)]
     )
-    return [(path, one) for path, one in found if isinstance(one, dict)]
+    return [(path, entry) for path, entry in entries if isinstance(entry, dict)]
 
 
 def condition_units(data: Mapping[str, Any]) -> dict[str, str]:
@@ -161,10 +161,10 @@ def named_channels(settings: Mapping[str, Any], key: str) -> list[tuple[KeyPath,
     value = table(settings, *outer).get(last)
     path: KeyPath = (*outer, last)
     if isinstance(value, Mapping):
-        found = [((*path, name), one) for name, one in value.items()]
+        entries = [((*path, name), entry) for name, entry in value.items()]
     else:
-        found = [(path, one) for one in (value if isinstance(value, list) else [value])]
-    return [(place, one) for place, one in found if isinstance(one, str)]
+        entries = [(path, entry) for entry in (value if isinstance(value, list) else [value])]
+    return [(key_path, entry) for key_path, entry in entries if isinstance(entry, str)]
 
 
 def check_channel(channel: object, path: KeyPath, devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:

@@ -357,7 +357,9 @@ class Design(CmaEs):
     @property
     def dimensions(self) -> dict[str, float]:
         """Variables that are built, with their tolerance."""
-        return {name: one.tolerance for name, one in self.variables.items() if one.tolerance > 0}
+        return {
+            name: variable.tolerance for name, variable in self.variables.items() if variable.tolerance > 0
+        }
 
 
 def is_summary(name: str) -> bool:
@@ -375,8 +377,8 @@ def check_design(data: Mapping[str, Any]) -> Iterator[Fault]:
     for name, signal in table(design, "signals").items():
         path: KeyPath = ("design", "signals", name)
         if isinstance(signal, str):
-            told = signal.removeprefix("command.")
-            yield from check_name(told, path, joints, f'the gait has no joint "{told}"', kind="joints")
+            channel = signal.removeprefix("command.")
+            yield from check_name(channel, path, joints, f'the gait has no joint "{channel}"', kind="joints")
     for name in tables(design, "writes"):
         if "/" in name:
             yield Fault(

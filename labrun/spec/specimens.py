@@ -33,7 +33,7 @@ class ByHand(Table):
         texts = {name: value_text(value, units.get(name, "")) for name, value in values.items()}
         if not self.ask:
             return "Set " + ", ".join(f"{name} = {text}" for name, text in texts.items())
-        return _PLACE.sub(lambda place: texts.get(place[1], place[0]), self.ask)
+        return _PLACE.sub(lambda match: texts.get(match[1], match[0]), self.ask)
 
 
 def check_by_hand(data: Mapping[str, Any]) -> Iterator[Fault]:
@@ -48,9 +48,10 @@ def check_by_hand(data: Mapping[str, Any]) -> Iterator[Fault]:
         if name in names[:number]:
             yield Fault(path, f'"{name}" is listed twice; remove one', at_value=True)
     ask = written.get("ask")
-    for place in _PLACE.findall(ask) if isinstance(ask, str) else ():
-        if place not in names:
-            text = f"{{{place}}} is none of the names that are set by hand; {suggest(place, names, kind='names')}"
+    for placeholder in _PLACE.findall(ask) if isinstance(ask, str) else ():
+        if placeholder not in names:
+            suggestion = suggest(placeholder, names, kind="names")
+            text = f"{{{placeholder}}} is not in by_hand.names; {suggestion}"
             yield Fault(("by_hand", "ask"), text, at_value=True)
     each = table(data, "cmaes", "each")
     if data.get("kind") == "cmaes" and not all(name in each for name in names):
@@ -71,7 +72,9 @@ def _check_twice(data: Mapping[str, Any], names: list[str]) -> Iterator[Fault]:
     for name in names:
         axis = table(data, "sweep", "axes").get(name)
         listed = axis if isinstance(axis, list) else []
-        for value, count in Counter(one for one in listed if isinstance(one, str | float | int)).items():
+        for value, count in Counter(
+            entry for entry in listed if isinstance(entry, str | float | int)
+        ).items():
             if count > 1:
                 text = f"{value_text(value)} is named {count} times; {advice}"
                 yield Fault(("sweep", "axes", name), text, at_value=True)

@@ -36,8 +36,8 @@ class _Bench:
     @property
     def channels(self) -> list[str]:
         """What is measured, forces first."""
-        found = [f"{device}.{name}" for device, info in self.infos.items() for name in info.channels or ()]
-        return sorted(found, key=lambda channel: not channel.partition(".")[2].startswith(_FORCES))
+        texts = [f"{device}.{name}" for device, info in self.infos.items() for name in info.channels or ()]
+        return sorted(texts, key=lambda channel: not channel.partition(".")[2].startswith(_FORCES))
 
     @property
     def carriages(self) -> list[str]:
@@ -116,7 +116,7 @@ def template(name: str, devices: Sequence[str], kind: Kind) -> str:
             for of, share in (("most", 1.0), ("half", 0.5), ("quarter", 0.25))
         },
     )
-    loads_experiment(text, name, beside=Path(f"{name}.toml"))
+    loads_experiment(text, name, relative_to=Path(f"{name}.toml"))
     return text
 
 
@@ -148,9 +148,9 @@ def _greatest(bench: _Bench) -> dict[str, float]:
     if bench.attended:
         return {"release": 30.0}
     limits = [bench.limits[device] for device in bench.joints.values()]
-    ranges = [one.get("angle_deg", (-40.0, 40.0)) for one in limits]
+    ranges = [limit.get("angle_deg", (-40.0, 40.0)) for limit in limits]
     amplitude = min(10.0, *(0.25 * (high - low) for low, high in ranges))
-    speed = min(180.0, *(float(one.get("speed_deg_s", 180.0)) for one in limits))
+    speed = min(180.0, *(float(limit.get("speed_deg_s", 180.0)) for limit in limits))
     return {"a": amplitude, "f": min(1.0, 0.8 * speed / (2 * pi * amplitude))}
 
 
@@ -162,7 +162,7 @@ def _rounded(value: float) -> str:
 
 def _bench(devices: Sequence[str]) -> _Bench:
     bench = _Bench()
-    known = [one for one in registry.names("labrun.devices") if not one.startswith("simulated-")]
+    known = [name for name in registry.names("labrun.devices") if not name.startswith("simulated-")]
     for plugin in devices:
         if ":" not in plugin and plugin not in known:
             raise RequestError(
@@ -171,7 +171,9 @@ def _bench(devices: Sequence[str]) -> _Bench:
         settings = getattr(registry.load("labrun.devices", plugin), "Settings", None)
         keys: str = getattr(settings, "example", "")
         if not keys:
-            needed = [key for key, one in getattr(settings, "model_fields", {}).items() if one.is_required()]
+            needed = [
+                key for key, info in getattr(settings, "model_fields", {}).items() if info.is_required()
+            ]
             keys = "\n".join(f'{key} = ""       # must be given' for key in needed)
         device = plugin.rpartition(":")[2].replace("-", "_").lower()
         while device in bench.tables:

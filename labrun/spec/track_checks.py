@@ -124,19 +124,19 @@ def _check_drive(
 
 def _needs(expression: object, let: Mapping[str, Any]) -> frozenset[str]:
     """Return the names an expression depends on, through `let` too; none if it cannot be read."""
-    found: set[str] = set()
+    needed: set[str] = set()
     left = [expression]
     while left:
         item = left.pop()
         if not isinstance(item, str | float | int):
             continue
         try:
-            new = names_in(item) - found
+            new = names_in(item) - needed
         except ExpressionError:
             continue
-        found |= new
+        needed |= new
         left += [let[name] for name in new if name in let]
-    return frozenset(found)
+    return frozenset(needed)
 
 
 def _check_part(group: str, keys: object, path: KeyPath, conditions: list[str] | None) -> Iterator[Fault]:
@@ -153,8 +153,8 @@ def _check_part(group: str, keys: object, path: KeyPath, conditions: list[str] |
     for key, value in list(settings.items()):
         whole = key in getattr(plugin, "expression_settings", ())
         if conditions is not None and (whole or is_expression(model, key, value)):
-            found = list(check_expression(value, (*path, key), known))
-            yield from found
+            faults = list(check_expression(value, (*path, key), known))
+            yield from faults
             if not whole:  # its value comes with each condition
                 settings[key] = 1.0
     yield from validate(model, settings, path, also=["plugin"])[1]

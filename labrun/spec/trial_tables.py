@@ -41,10 +41,10 @@ class Until(Table):
     def _keeps_what_it_judges(self) -> Self:
         with TableFaults() as faults:
             if self.judge_every > self.keep_every:
-                said = (
+                message = (
                     f"is above keep_every = {self.keep_every}: the motion goes out in stretches of keep_every"
                 )
-                faults.add("judge_every", said, of=("judge_every", "keep_every"))
+                faults.add("judge_every", message, of=("judge_every", "keep_every"))
         return self
 
 
@@ -282,7 +282,7 @@ class Criterion:
         named = [name for name in objectives if re.search(rf"\b{re.escape(name)}\b", text)] or list(
             objectives
         )
-        found: dict[str, _Summary] = {}
+        summaries: dict[str, _Summary] = {}
 
         def taken(match: re.Match[str]) -> str:
             function, objective, end, count = match.groups()
@@ -295,9 +295,9 @@ class Criterion:
                 raise ExpressionError(
                     text, f"{match[0]} covers no cycle; write a number of at least 1", match.start()
                 )
-            one = _Summary(function, objective or named[0], end, int(count))
-            name = f"{function}_{end}_{count}_of_{one.objective}"
-            found[name] = one
+            summary = _Summary(function, objective or named[0], end, int(count))
+            name = f"{function}_{end}_{count}_of_{summary.objective}"
+            summaries[name] = summary
             return name
 
         plain = _SUMMARY.sub(taken, text)
@@ -311,20 +311,20 @@ class Criterion:
             raise ExpressionError(
                 text, 'is no comparison; write for example "peak < 0.2 * median(first 100)"'
             )
-        return cls(text, expression, found)
+        return cls(text, expression, summaries)
 
     @property
     def names(self) -> list[str]:
         """The objectives that it is about, and perhaps ``cycle``."""
         plain = [name for name in self.expression.names if name not in self.summaries]
-        return list(dict.fromkeys([*plain, *(one.objective for one in self.summaries.values())]))
+        return list(dict.fromkeys([*plain, *(summary.objective for summary in self.summaries.values())]))
 
     def holds(self, history: Mapping[str, Sequence[float]]) -> bool:
         """Tell whether it holds after the latest of the cycles; `history` has an objective's value of each."""
         values: dict[str, float] = {name: cycles[-1] for name, cycles in history.items()}
         values[CYCLE] = float(max(len(cycles) for cycles in history.values()))
-        for name, one in self.summaries.items():
-            summary = one.of(history[one.objective])
+        for name, term in self.summaries.items():
+            summary = term.of(history[term.objective])
             if summary is None:
                 return False
             values[name] = summary
@@ -336,7 +336,7 @@ def check_until(data: Mapping[str, Any]) -> Iterator[Fault]:
     trial, until = table(data, "trial"), table(data, "trial", "until")
     if not until:
         return
-    objectives = [name for name, one in table(data, "objectives").items() if name != CYCLES]
+    objectives = [name for name, objective in table(data, "objectives").items() if name != CYCLES]
     path: KeyPath = ("trial", "until", "when")
     when = until.get("when")
     if isinstance(when, str):
@@ -350,7 +350,7 @@ def check_until(data: Mapping[str, Any]) -> Iterator[Fault]:
                 yield from check_name(name, path, known, f'no objective "{name}"', kind="objectives")
             most, first = (
                 until.get("max_cycles"),
-                max((one.count for one in criterion.summaries.values()), default=0),
+                max((summary.count for summary in criterion.summaries.values()), default=0),
             )
             if isinstance(most, int) and 0 < most < first:
                 complaint = (

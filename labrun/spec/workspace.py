@@ -50,11 +50,11 @@ def list_experiments(workspace: Path) -> list[Path]:
 
     A file in the workspace hides the shipped one of the same name.
     """
-    found: dict[str, Path] = {}
+    paths: dict[str, Path] = {}
     for folder in _folders(workspace):
         for path in _experiment_files(folder):
-            found.setdefault(path.stem, path)
-    return [found[name] for name in sorted(found)]
+            paths.setdefault(path.stem, path)
+    return [paths[name] for name in sorted(paths)]
 
 
 def find_experiment(name_or_path: str, workspace: Path) -> Path:
@@ -98,10 +98,10 @@ def find_model_file(name: str, experiment: Path | None, workspace: Path) -> Path
     name is not looked for among the shipped: a plugin's model of that name comes before theirs.
     """
     given = Path(name).expanduser()
-    beside = [experiment.parent] if experiment is not None else []
-    files = [folder / given for folder in (Path(), *beside, *_folders(workspace))]
+    folders = [experiment.parent] if experiment is not None else []
+    files = [folder / given for folder in (Path(), *folders, *_folders(workspace))]
     if given.parts == (name,) and not given.suffix:
-        own = [*beside, *_folders(workspace)[:2]]
+        own = [*folders, *_folders(workspace)[:2]]
         files += [folder / "models" / f"{name}.toml" for folder in own]
     return next((file for file in files if file.is_file()), None)
 

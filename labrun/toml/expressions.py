@@ -150,7 +150,10 @@ class Expression:
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Let fields of pydantic models be expressions."""
         return core_schema.no_info_plain_validator_function(
-            _validated, serialization=core_schema.plain_serializer_function_ser_schema(lambda one: one.given)
+            _validated,
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                lambda expression: expression.given
+            ),
         )
 
 
@@ -302,8 +305,8 @@ def _called(name: str, arguments: list[ast.expr], known: Mapping[str, str]) -> a
         case "clip":
             return _call("np.minimum", _call("np.maximum", values[0], values[1]), values[2])
         case "step":
-            begun = ast.Compare(values[0], [ast.GtE()], [values[1]])
-            return ast.IfExp(begun, ast.Constant(1.0), ast.Constant(0.0))
+            comparison = ast.Compare(values[0], [ast.GtE()], [values[1]])
+            return ast.IfExp(comparison, ast.Constant(1.0), ast.Constant(0.0))
         case "min" | "max":
             result = values[0]
             for value in values[1:]:
@@ -368,8 +371,8 @@ def _compute(node: ast.expr) -> Compute:
         case ast.UnaryOp(op=ast.UAdd(), operand=inner):
             compute = _compute(inner)
         case ast.BinOp(left=left, op=operation, right=right):
-            combine, one, other = _OPERATORS[type(operation)], _compute(left), _compute(right)
-            compute = lambda names: combine(one(names), other(names))
+            combine, first, other = _OPERATORS[type(operation)], _compute(left), _compute(right)
+            compute = lambda names: combine(first(names), other(names))
         case (
             ast.IfExp(test=test, body=body, orelse=otherwise)
             | ast.Call(func=ast.Name(id="where"), args=[test, body, otherwise])
@@ -408,7 +411,7 @@ def _compute_truth(node: ast.expr) -> Compute:
 
 def _chain(compare: list[Callable[[Any, Any], Any]], values: list[Any]) -> Any:
     pairs = zip(compare, values, values[1:], strict=False)
-    return reduce(np.logical_and, [relation(one, other) for relation, one, other in pairs])
+    return reduce(np.logical_and, [relation(first, other) for relation, first, other in pairs])
 
 
 def _comparable(value: Any) -> Any:

@@ -195,9 +195,9 @@ def replaced(text: str, values: Mapping[KeyPath, str]) -> str:
     KeyError
         A path that the text does not have.
     """
-    found = locate(text).spans
+    spans = locate(text).spans
     encoded = text.encode()
-    places = {found[path]: value for path, value in values.items()}
+    places = {spans[path]: value for path, value in values.items()}
     for (begin, end), value in sorted(places.items(), reverse=True):
         encoded = encoded[:begin] + value.encode() + encoded[end:]
     return encoded.decode()

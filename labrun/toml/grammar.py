@@ -232,7 +232,7 @@ class _Checker:
             case ast.IfExp(test=test, body=body, orelse=otherwise):
                 return [test, body, otherwise]
             case ast.Compare(left=left, ops=operators, comparators=others):
-                if all(isinstance(one, _COMPARISONS) for one in operators):
+                if all(isinstance(operator, _COMPARISONS) for operator in operators):
                     return [left, *others]
                 raise self._error("comparisons are < <= > >= == !=", node)
         raise self._error(
@@ -267,10 +267,10 @@ class _Checker:
             raise self._error(f"there is no function {name!r}", node, hint)
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
             raise self._error(f"{name} takes plain values", node)
-        found, function = len(node.args), FUNCTIONS[name]
-        if not function.least <= found <= function.most:
+        count, function = len(node.args), FUNCTIONS[name]
+        if not function.least <= count <= function.most:
             takes = "two or more" if function.most > function.least else str(function.least)
-            raise self._error(f"{name} takes {takes} value{'s' * (takes != '1')}, not {found}", node)
+            raise self._error(f"{name} takes {takes} value{'s' * (takes != '1')}, not {count}", node)
         return node.args
 
     def _position(self, node: ast.expr) -> int:

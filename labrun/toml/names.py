@@ -20,9 +20,9 @@ def nearest(name: str, known: Iterable[str], *, cutoff: float = 0.6) -> str | No
     """
     candidates = list(known)
     folded = {candidate.casefold(): candidate for candidate in reversed(candidates)}
-    found = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=cutoff)
-    if found:
-        return folded[found[0]]
+    matches = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=cutoff)
+    if matches:
+        return folded[matches[0]]
     # Names of one letter are like nothing: "freq" or "f0" for "f".
     starts = [known for key, known in folded.items() if key and name.casefold().startswith(key)]
     return starts[0] if len(starts) == 1 else None
@@ -108,7 +108,7 @@ def same_quantity(key: str, known: Iterable[str]) -> str | None:
     Of several, such as "speed_m_s" and "speed_deg_s" for "speed_rpm", it is the one of the same dimension.
     """
     stem, suffix = split_unit(key)
-    found = [
+    pairs = [
         (candidate, other)
         for candidate in known
         for other_stem, other in [split_unit(candidate)]
@@ -116,10 +116,10 @@ def same_quantity(key: str, known: Iterable[str]) -> str | None:
     ]
     alike = [
         name
-        for name, other in found
+        for name, other in pairs
         if suffix is not None and UNITS[other].dimension == UNITS[suffix].dimension
     ]
-    return next(iter([*alike, *(name for name, _ in found)]), None)
+    return next(iter([*alike, *(name for name, _ in pairs)]), None)
 
 
 def convert(value: object, key: str, to_key: str) -> float | None:

@@ -84,11 +84,11 @@ def mend(
     except ValidationError as error:
         errors = error.errors(include_url=False)
     repair = _Repair(model, copy.deepcopy(dict(data)), also)
-    found: dict[tuple[KeyPath, str], Fault] = {}
+    faults: dict[tuple[KeyPath, str], Fault] = {}
     mended: Model | None = None
     for _ in range(_ROUNDS):
         for fault in repair.faults(errors):
-            found.setdefault((fault.path, fault.message), fault)
+            faults.setdefault((fault.path, fault.message), fault)
         if not repair.apply():
             break
         try:
@@ -96,7 +96,7 @@ def mend(
             break
         except ValidationError as error:
             errors = error.errors(include_url=False)
-    return mended, [Fault((*base, *item.path), item.message, item.at_value) for item in found.values()]
+    return mended, [Fault((*base, *item.path), item.message, item.at_value) for item in faults.values()]
 
 
 def checked(model: type[Model], data: Mapping[str, Any], base: KeyPath = ()) -> Model:
@@ -232,31 +232,31 @@ class _Repair:
 
     def faults(self, errors: Sequence[ErrorDetails]) -> list[Fault]:
         self._renames, self._removals = {}, set()
-        found: list[Fault] = []
+        faults: list[Fault] = []
         expected: dict[KeyPath, list[str]] = {}
         for error in errors:
             path = self._real_path(error)
             if self._follows_from_repair(path):
                 continue
             if error["type"] == "extra_forbidden":
-                found.append(self._unknown(path))
+                faults.append(self._unknown(path))
             elif error["type"] == "faults":
-                found += self._faults(path, error)
+                faults += self._faults(path, error)
             elif error["type"] == "too_short" and any(item[: len(path)] == path for item in self._touched):
                 self._removals.add(path)
             elif error["type"] == "expression":
                 self._removals.add(path)
-                found.append(Fault(path, error["msg"], at_value=True))
+                faults.append(Fault(path, error["msg"], at_value=True))
             elif error["type"] == "value_error":  # a validator's own sentence
                 self._removals.add(path)
-                found.append(Fault(path, error["msg"].removeprefix("Value error, "), at_value=True))
+                faults.append(Fault(path, error["msg"].removeprefix("Value error, "), at_value=True))
             elif error["type"] != "missing":
                 expected.setdefault(path, []).append(_expectation(error, path))
-        found += self._missing(errors)
+        faults += self._missing(errors)
         for path, texts in expected.items():
             self._removals.add(path)
-            found.append(Fault(path, "expected " + " or ".join(dict.fromkeys(texts)), at_value=True))
-        return found
+            faults.append(Fault(path, "expected " + " or ".join(dict.fromkeys(texts)), at_value=True))
+        return faults
 
     def apply(self) -> bool:
         """Rename what was misspelt and remove what does not hold; tell whether anything changed."""
@@ -373,10 +373,10 @@ def parsed(text: str, name: str, *, kind: type[RequestError] = RequestError) -> 
         raise refusal(kind, name, [LocatedFault(name, None, None, "", None, "nested too deeply")]) from error
     except tomllib.TOMLDecodeError as error:
         message = str(error)
-        place = re.search(r" \(at line (\d+), column (\d+)\)$", message)
-        if place is not None:
-            line, column = int(place[1]), int(place[2])
-            message = message[: place.start()]
+        match = re.search(r" \(at line (\d+), column (\d+)\)$", message)
+        if match is not None:
+            line, column = int(match[1]), int(match[2])
+            message = message[: match.start()]
         else:  # at the end of the text
             line, column = text.count("\n") + 1, len(text.rpartition("\n")[2]) + 1
             message = re.sub(r" \(at end of document\)$", " at the end of the file", message)
@@ -423,8 +423,8 @@ class Places:
                     if "did you mean" not in message:
                         message += self._misspelt_table(fault.path)
                     return LocatedFault(override, None, None, dotted(fault.path), shown, message)
-        place = self._positions.of_value if fault.at_value else self._positions.of_key
-        position = place(fault.path)
+        position_of = self._positions.of_value if fault.at_value else self._positions.of_key
+        position = position_of(fault.path)
         origin = f"{self._name}:{position.line}:{position.column}"
         return LocatedFault(origin, position.line, position.column, dotted(fault.path), shown, message)
 

@@ -76,4 +76,4 @@ def paddle(tmp_path, monkeypatch):
 @pytest.fixture
 def load():
     """Return what loads an experiment from its file."""
-    return lambda path: loads_experiment(path.read_text(), path.stem, beside=path)
+    return lambda path: loads_experiment(path.read_text(), path.stem, relative_to=path)

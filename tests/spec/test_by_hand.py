@@ -39,7 +39,7 @@ def test_the_person_is_told_the_values():
             'no condition has this name; did you mean "specimen"?',
         ),
         ('names = ["specimen"]', 'names = ["specimen", "specimen"]', '"specimen" is listed twice'),
-        ("{specimen}", "{fin}", "{fin} is none of the names that are set by hand"),
+        ("{specimen}", "{fin}", "{fin} is not in by_hand.names"),
         ('["p1", "p2"]', '["p1", "p2", "p1"]', "p1 is named 2 times"),
         (
             "[trial]",
