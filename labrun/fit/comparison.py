@@ -136,7 +136,9 @@ def compared(pairs: Sequence[Pair]) -> tuple[ComparedPoint, ...]:
         groups: dict[object, list[Pair]] = {}
         for pair in own:
             groups.setdefault(condition_key(pair.condition), []).append(pair)
-        sizes = {key: _rms(np.concatenate([one.measured for one in group])) for key, group in groups.items()}
+        sizes = {
+            key: _rms(np.concatenate([pair.measured for pair in group])) for key, group in groups.items()
+        }
         least = LEAST_SIZE * max(sizes.values())
         points += [
             _point(group, max(sizes[key], least), floored=sizes[key] < least) for key, group in groups.items()
@@ -150,11 +152,11 @@ def _point(group: Sequence[Pair], size: float, *, floored: bool) -> ComparedPoin
     both = [[getattr(pair, side) for pair in group] for side in ("measured", "predicted")]
     at_s = None
     if all(len(pair.time_s) == 1 for pair in group):
-        measured, predicted = (float(np.mean([one[0] for one in values])) for values in both)
+        measured, predicted = (float(np.mean([value[0] for value in values])) for values in both)
     else:
-        place = int(np.argmax(np.abs(differences)))
+        index = int(np.argmax(np.abs(differences)))
         all_s = [pair.time_s for pair in group]
-        measured, predicted, at_s = (float(np.concatenate(values)[place]) for values in (*both, all_s))
+        measured, predicted, at_s = (float(np.concatenate(values)[index]) for values in (*both, all_s))
     relative = rmse / size if size > 0 else (np.inf if rmse > 0 else 0.0)
     trials = sum(pair.trials for pair in group)
     named = (first.condition, first.channel, first.unit, trials)
@@ -175,11 +177,11 @@ def predictions(model: Model, data: Dataset) -> tuple[list[Pair], tuple[str, ...
     problem = Problem.of(model, data)
     pairs = [
         Pair(trial.label, trial.condition, output.name, output.unit, trial.time_s, *sides)
-        for trial, found in zip(data.trials, problem.simulated(problem.begin()), strict=True)
-        for output, *sides in zip(data.outputs, trial.outputs.T, found.T, strict=True)
+        for trial, simulated in zip(data.trials, problem.simulated(problem.begin()), strict=True)
+        for output, *sides in zip(data.outputs, trial.outputs.T, simulated.T, strict=True)
     ]
     free = [model.states[state] for state in problem.states.free]
-    whole = [free[place] for place in problem.constant_states]
+    whole = [free[state] for state in problem.constant_states]
     first = [name for name in free if name not in whole]
     notes = []
     if first:
@@ -197,10 +199,10 @@ def _differences(pairs: Sequence[Pair]) -> FloatArray:
 
 
 def _by_channel(pairs: Sequence[Pair]) -> dict[str, list[Pair]]:
-    found: dict[str, list[Pair]] = {}
+    matched: dict[str, list[Pair]] = {}
     for pair in pairs:
-        found.setdefault(pair.channel, []).append(pair)
-    return found
+        matched.setdefault(pair.channel, []).append(pair)
+    return matched
 
 
 def _rms(values: FloatArray) -> float:
@@ -224,7 +226,7 @@ class Side:
     @cached_property
     def outcomes(self) -> list[TrialOutcome]:
         """Trials that were accepted."""
-        return [one for one in self.run.outcomes if one.status == "done"]
+        return [outcome for outcome in self.run.outcomes if outcome.status == "done"]
 
     @cached_property
     def _recorded(self) -> bool:
@@ -233,7 +235,7 @@ class Side:
     @cached_property
     def _is_table(self) -> bool:
         return self._recorded and all(
-            len(self.run.measured(one.index)["output"]) == 1 for one in self.outcomes
+            len(self.run.measured(outcome.index)["output"]) == 1 for outcome in self.outcomes
         )
 
     @cached_property
@@ -242,7 +244,7 @@ class Side:
         if self._is_table:
             return self._channels
         units = self.run.units()
-        names = dict.fromkeys(name for one in self.outcomes for name in one.objectives)
+        names = dict.fromkeys(name for outcome in self.outcomes for name in outcome.objectives)
         return {name: units.get(name, "1") for name in names}
 
     @cached_property
@@ -264,23 +266,25 @@ class Side:
     @cached_property
     def names(self) -> frozenset[str]:
         """Names that the conditions of all its trials have."""
-        found = [set(one.condition) for one in self.outcomes]
-        return frozenset(set.intersection(*found)) if found else frozenset()
+        conditions = [set(outcome.condition) for outcome in self.outcomes]
+        return frozenset(set.intersection(*conditions)) if conditions else frozenset()
 
     def by_condition(self, names: Iterable[str]) -> dict[Key, list[TrialOutcome]]:
         """Return its trials by what these names are in them."""
         groups: dict[Key, list[TrialOutcome]] = {}
         wanted = sorted(names)
-        for one in self.outcomes:
-            groups.setdefault(tuple((name, _rounded(one.condition[name])) for name in wanted), []).append(one)
+        for outcome in self.outcomes:
+            groups.setdefault(tuple((name, _rounded(outcome.condition[name])) for name in wanted), []).append(
+                outcome
+            )
         return groups
 
     def number(self, name: str, outcomes: Sequence[TrialOutcome]) -> FloatArray:
         """Return one number of each trial that has it."""
         if self._is_table:
-            return np.array([self.signal(name, one).values[0] for one in outcomes])
-        found = [one.objectives[name] for one in outcomes if name in one.objectives]
-        return np.array([value for value in found if np.isfinite(value)])
+            return np.array([self.signal(name, outcome).values[0] for outcome in outcomes])
+        objectives = [outcome.objectives[name] for outcome in outcomes if name in outcome.objectives]
+        return np.array([value for value in objectives if np.isfinite(value)])
 
     def signal(self, name: str, outcome: TrialOutcome) -> Signal:
         """Return one signal of a trial, from its start to its end."""
@@ -296,7 +300,7 @@ class Side:
 
     def signals_of(self, name: str, outcomes: Sequence[TrialOutcome]) -> list[Signal]:
         """Return one signal of each trial."""
-        return [self.signal(name, one) for one in outcomes]
+        return [self.signal(name, outcome) for outcome in outcomes]
 
 
 def told_apart(data: Run, other: Run) -> tuple[str, str]:
@@ -351,14 +355,14 @@ def paired(data: Run, other: Run) -> tuple[list[Pair], tuple[str, ...]]:
                 hint="say the same unit in both, converting the numbers of one of them",
             )
         for key in common:
-            found = (
+            comparison = (
                 _numbers_beside(mine.number(first, own[key]), theirs.number(second, others[key]))
                 if numbers
                 else _signals_beside(mine.signals_of(first, own[key]), theirs.signals_of(second, others[key]))
             )
-            if found is not None:
+            if comparison is not None:
                 condition = own[key][0].condition
-                pairs.append(Pair(condition_text(condition), condition, first, units[0], *found))
+                pairs.append(Pair(condition_text(condition), condition, first, units[0], *comparison))
     if not pairs:
         raise RequestError(f"{mine.name} and {theirs.name} have no accepted trial to compare")
     return pairs, tuple(notes)
@@ -373,11 +377,13 @@ def predicted_numbers(data: Run, model: Model) -> list[Pair] | None:
     pairs, at = [], np.zeros(1)
     for outcomes in side.by_condition(side.names).values():
         condition = outcomes[0].condition
-        told = simulate(model, at, np.empty((1, 0)), condition=condition, substeps=1).outputs[0]
-        for name, value in zip(outputs, told, strict=True):
-            found = _numbers_beside(side.number(name, outcomes), np.array([value]))
-            if found is not None:
-                pairs.append(Pair(condition_text(condition), condition, name, side.numbers[name], *found))
+        predicted = simulate(model, at, np.empty((1, 0)), condition=condition, substeps=1).outputs[0]
+        for name, value in zip(outputs, predicted, strict=True):
+            comparison = _numbers_beside(side.number(name, outcomes), np.array([value]))
+            if comparison is not None:
+                pairs.append(
+                    Pair(condition_text(condition), condition, name, side.numbers[name], *comparison)
+                )
     return pairs or None
 
 
@@ -396,7 +402,7 @@ def _same_conditions(mine: Side, theirs: Side) -> frozenset[str]:
             differing = sorted(
                 name
                 for name in side.names - shared
-                if len({_rounded(one.condition[name]) for one in outcomes}) > 1
+                if len({_rounded(outcome.condition[name]) for outcome in outcomes}) > 1
             )
             if differing:
                 raise RequestError(
@@ -408,17 +414,17 @@ def _same_conditions(mine: Side, theirs: Side) -> frozenset[str]:
 
 
 def _same_signals(mine: Side, theirs: Side) -> list[tuple[str, str]]:
-    found = []
+    signals = []
     for name in mine.signals:
         last = name.rpartition(".")[2]
-        alike = [one for one in theirs.signals if one == name] or [
-            one
-            for one in theirs.signals
-            if one.rpartition(".")[2] == last and ("." not in name or "." not in one)
+        alike = [signal for signal in theirs.signals if signal == name] or [
+            signal
+            for signal in theirs.signals
+            if signal.rpartition(".")[2] == last and ("." not in name or "." not in signal)
         ]
         if len(alike) == 1:
-            found.append((name, alike[0]))
-    return found
+            signals.append((name, alike[0]))
+    return signals
 
 
 def _numbers_beside(measured: FloatArray, held: FloatArray) -> _Beside | None:
@@ -429,13 +435,13 @@ def _numbers_beside(measured: FloatArray, held: FloatArray) -> _Beside | None:
 
 def _signals_beside(measured: Sequence[Signal], held: Sequence[Signal]) -> _Beside | None:
     """Return the means of signals at those times of the first one at which all were recorded; None without any."""
-    start_s = max(float(one.time_s[0]) for one in (*measured, *held))
-    end_s = min(float(one.time_s[-1]) for one in (*measured, *held))
+    start_s = max(float(signal.time_s[0]) for signal in (*measured, *held))
+    end_s = min(float(signal.time_s[-1]) for signal in (*measured, *held))
     time_s = measured[0].time_s
     time_s = time_s[(time_s >= start_s) & (time_s <= end_s)]
     if not len(time_s):
         return None
-    here, there = (np.mean([one.at(time_s) for one in part], axis=0) for part in (measured, held))
+    here, there = (np.mean([signal.at(time_s) for signal in part], axis=0) for part in (measured, held))
     return time_s, here, there, len(measured)
 
 
@@ -443,8 +449,8 @@ _TOLD = 3
 
 
 def _some(keys: Iterable[Key]) -> str:
-    told = [condition_text(dict(key)) or "one without names" for key in keys]
-    return "; ".join(told[:_TOLD]) + (f" and {len(told) - _TOLD} more" if len(told) > _TOLD else "")
+    labels = [condition_text(dict(key)) or "one without names" for key in keys]
+    return "; ".join(labels[:_TOLD]) + (f" and {len(labels) - _TOLD} more" if len(labels) > _TOLD else "")
 
 
 def _rounded(value: float | str) -> float | str:

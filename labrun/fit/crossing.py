@@ -144,14 +144,14 @@ class Crossing:
 
 
 def crossing(
-    one: Measured, other: Measured | float, rng: np.random.Generator, resamples: int = _RESAMPLES
+    measured: Measured, other: Measured | float, rng: np.random.Generator, resamples: int = _RESAMPLES
 ) -> Crossing | None:
     """Return where two fitted curves, or a curve and a level, cross; None if not where both were measured."""
-    places = [one.x] if isinstance(other, float) else [one.x, other.x]
+    places = [measured.x] if isinstance(other, float) else [measured.x, other.x]
     grid = np.linspace(max(x.min() for x in places), min(x.max() for x in places), _GRID)
     if not grid[0] < grid[-1]:
         return None
-    course = one.coefficients(one.drawn(rng, resamples)) @ one.terms(grid).T
+    course = measured.coefficients(measured.drawn(rng, resamples)) @ measured.terms(grid).T
     difference = (
         course - other
         if isinstance(other, float)
@@ -173,13 +173,13 @@ def _first_zero(grid: FloatArray, difference: FloatArray) -> FloatArray:
     """Return the first place where each row changes its sign, straight between points; NaN where it does not."""
     signs = np.sign(difference)
     changes = signs[:, 1:] * signs[:, :-1] <= 0
-    found = changes.any(axis=1)
+    resampled = changes.any(axis=1)
     left = np.argmax(changes, axis=1)
     rows = np.arange(len(difference))
     before, after = difference[rows, left], difference[rows, left + 1]
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(before == after, 0.0, before / (before - after))
-    return np.where(found, grid[left] + share * (grid[left + 1] - grid[left]), np.nan)
+    return np.where(resampled, grid[left] + share * (grid[left + 1] - grid[left]), np.nan)
 
 
 class CrossingFit(WithSettings[CrossingSettings]):
@@ -212,41 +212,46 @@ class CrossingFit(WithSettings[CrossingSettings]):
             second: Measured | float = keys.level
             if other is not None and keys.other is not None:
                 # Another run need not know the factor: its curve then is that of all levels.
-                known = any(keys.by in one.condition for one in _counted(other)) if keys.by else False
+                known = any(keys.by in trial.condition for trial in _counted(other)) if keys.by else False
                 second = _curve(other, keys, keys.other, level if known else None)
-            told = f"{name}: " if name else ""
-            found = crossing(first, second, job.rng)
-            if found is None:
+            prefix = f"{name}: " if name else ""
+            intersection = crossing(first, second, job.rng)
+            if intersection is None:
                 raise FitError(
-                    f"{told}{keys.one.objective}, {first.y.min():.3g} to {first.y.max():.3g}, does not meet "
+                    f"{prefix}{keys.one.objective}, {first.y.min():.3g} to {first.y.max():.3g}, does not meet "
                     f"{keys.other.objective if keys.other else f'{keys.level:g}'} where both were measured",
                     hint=f"measure farther: {keys.over} went from {first.x.min():g} to {first.x.max():g} "
                     f"{x_unit}".rstrip(),
                 )
-            low, high = found.ci95
+            low, high = intersection.ci95
             parameters[f"at_{name.replace(' ', '_')}" if name else "at"] = Estimate(
-                found.at, found.ci95, x_unit
+                intersection.at, intersection.ci95, x_unit
             )
             findings.append(
-                f"{told}{keys.one.objective} meets {against} at {keys.over} = {found.at:.4g} {x_unit} "
+                f"{prefix}{keys.one.objective} meets {against} at {keys.over} = {intersection.at:.4g} {x_unit} "
                 f"({low:.4g} to {high:.4g})"
             )
-            if found.open > _OPEN_SHARE:
+            if intersection.open > _OPEN_SHARE:
                 warnings.append(
-                    f"{told}{100 * found.open:.0f} % of the resamples do not cross where there are data: the interval "
+                    f"{prefix}{100 * intersection.open:.0f} % of the resamples do not cross where there are data: "
+                    "the interval "
                     f"is open at an end; measure farther along {keys.over}"
                 )
-            rows.append((name or "all", f"{len(first.y)}", f"{found.at:.4g}", f"{found.value:.4g}"))
-            ends = np.clip(found.ci95, first.x.min(), first.x.max())  # of an open one, as far as was measured
-            crossings.append(Curve(ends, np.full(2, found.value), len(curves) // 2, bold=True))
+            rows.append(
+                (name or "all", f"{len(first.y)}", f"{intersection.at:.4g}", f"{intersection.value:.4g}")
+            )
+            ends = np.clip(
+                intersection.ci95, first.x.min(), first.x.max()
+            )  # of an open one, as far as was measured
+            crossings.append(Curve(ends, np.full(2, intersection.value), len(curves) // 2, bold=True))
             curves += _drawn(first, name or keys.one.objective, len(curves) // 2)
             if isinstance(second, Measured) and keys.other is not None:
                 curves += _drawn(second, f"{name} {keys.other.objective}".strip(), len(curves) // 2)
         if keys.gain_at is not None and len(measured) > 1:
             findings += _gains(measured, keys.gain_at, x_unit, keys.one.objective, job.rng)
-        if any(one.truncation.get(keys.one.objective) for one in _counted(run)):
+        if any(trial.truncation.get(keys.one.objective) for trial in _counted(run)):
             warnings.append("what cycles cut by the window may do to each value is not in these intervals")
-        used = sum(len(one.y) for one in measured.values())
+        used = sum(len(curve.y) for curve in measured.values())
         x_label, y_label = (
             f"{name}, {unit}".rstrip(", ")
             for name, unit in ((keys.over, x_unit), (keys.one.objective, y_unit))
@@ -269,7 +274,7 @@ class CrossingFit(WithSettings[CrossingSettings]):
 
 
 def _read(job: FitJob) -> dict[str, Run]:
-    found: dict[str, Run] = {}
+    runs: dict[str, Run] = {}
     for path in (job.target, *job.more):
         if is_recording(path):
             raise RequestError(
@@ -277,12 +282,12 @@ def _read(job: FitJob) -> dict[str, Run]:
                 hint="crossing takes runs: labrun import makes one of a recording",
             )
         run = open_run(path)
-        found[run.name] = run
-    return found
+        runs[run.name] = run
+    return runs
 
 
 def _counted(run: Run) -> list[TrialOutcome]:
-    return [one for one in run.outcomes if one.status == "done" and one.role != "reference"]
+    return [outcome for outcome in run.outcomes if outcome.status == "done" and outcome.role != "reference"]
 
 
 def _run_of(runs: Mapping[str, Run], table: CurveTable, target: str) -> Run:
@@ -292,7 +297,7 @@ def _run_of(runs: Mapping[str, Run], table: CurveTable, target: str) -> Run:
             f"{table.objective} is that of {name}, and only {', '.join(runs)} was given",
             hint=f"labrun fit {target} --with {name}",
         )
-    known = dict.fromkeys(objective for one in _counted(runs[name]) for objective in one.objectives)
+    known = dict.fromkeys(objective for trial in _counted(runs[name]) for objective in trial.objectives)
     if table.objective not in known:
         hint = suggest(table.objective, known, kind="objectives")
         raise RequestError(f"{name} has no objective {table.objective!r}", hint=hint)
@@ -302,10 +307,10 @@ def _run_of(runs: Mapping[str, Run], table: CurveTable, target: str) -> Run:
 def _levels(trials: Sequence[TrialOutcome], by: str | None) -> list[tuple[str, float | str] | None]:
     if by is None:
         return [None]
-    found = dict.fromkeys(one.condition[by] for one in trials if by in one.condition)
-    if not found:
+    levels = dict.fromkeys(trial.condition[by] for trial in trials if by in trial.condition)
+    if not levels:
         raise RequestError(f"no trial has the condition {by!r} of fit.settings.by")
-    return [(by, value) for value in sorted(found, key=str)]
+    return [(by, value) for value in sorted(levels, key=str)]
 
 
 def _name(level: tuple[str, float | str] | None, names: Mapping[str, str]) -> str:
@@ -320,17 +325,17 @@ def _curve(
 ) -> Measured:
     wanted = {**table.where, **({} if level is None else dict([level]))}
     own = [
-        one
-        for one in _counted(run)
-        if all(one.condition.get(name) == value for name, value in wanted.items())
-        and table.objective in one.objectives
+        trial
+        for trial in _counted(run)
+        if all(trial.condition.get(name) == value for name, value in wanted.items())
+        and table.objective in trial.objectives
     ]
     if not own:
         raise FitError(f"no trial of {run.name} that counts has {condition_text(wanted)}")
-    places = [one.condition.get(keys.over) for one in own]
-    numbers = [place for place in places if isinstance(place, int | float)]
+    places = [trial.condition.get(keys.over) for trial in own]
+    numbers = [position for position in places if isinstance(position, int | float)]
     if len(numbers) < len(places):
-        known = dict.fromkeys(name for one in own for name in one.condition)
+        known = dict.fromkeys(name for trial in own for name in trial.condition)
         raise RequestError(
             f"trials of {run.name} have no number for the condition {keys.over!r}",
             hint=f"fit.settings.over is one of {', '.join(known)}",
@@ -342,7 +347,7 @@ def _curve(
             f"{terms} terms",
             hint=f"measure at {terms} or more, or give the curve fewer powers",
         )
-    values = np.array([table.scale * one.objectives[table.objective] for one in own])
+    values = np.array([table.scale * trial.objectives[table.objective] for trial in own])
     return Measured(np.array(numbers, dtype=float), values, table.powers)
 
 
@@ -351,22 +356,22 @@ def _gains(
 ) -> list[str]:
     """Say how much greater each level's curve is than the lowest one, at one place."""
     draws = {
-        name: one.coefficients(one.drawn(rng)) @ one.terms(np.array([at]))[0]
-        for name, one in measured.items()
+        name: curve.coefficients(curve.drawn(rng)) @ curve.terms(np.array([at]))[0]
+        for name, curve in measured.items()
     }
     lowest = min(draws, key=lambda name: float(draws[name][0]))
     if draws[lowest][0] <= 0.0:
         return []
-    told = []
+    notes = []
     for name, values in draws.items():
         if name == lowest:
             continue
         ratio = 100.0 * (values / draws[lowest] - 1.0)
         low, high = np.percentile(ratio[1:], [2.5, 97.5])
-        told.append(
+        notes.append(
             f"at {at:g} {unit} {name} has {ratio[0]:+.0f} % {objective} against {lowest} ({low:+.0f} to {high:+.0f} %)"
         )
-    return told
+    return notes
 
 
 def _drawn(curve: Measured, label: str, series: int) -> list[Curve]:

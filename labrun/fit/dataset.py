@@ -124,7 +124,7 @@ class Dataset:
     @property
     def signal_units(self) -> dict[str, str]:
         """Units of inputs and outputs, as recorded."""
-        return {one.name: one.unit for one in (*self.inputs, *self.outputs)}
+        return {signal.name: signal.unit for signal in (*self.inputs, *self.outputs)}
 
     @property
     def repeats(self) -> int:
@@ -239,12 +239,12 @@ def thinned(data: Dataset, rate_hz: float | None = None, until_s: float | None =
         every = 1 if rate_hz is None else max(round(1.0 / (rate_hz * float(np.median(np.diff(since_s))))), 1)
         return trial.kept(slice(0, max(samples, 2), every))
 
-    said = [
+    parts = [
         "" if until_s is None else f"up to {until_s:g} s",
         "" if rate_hz is None else f"at about {rate_hz:g} Hz",
     ]
-    note = f"as [gap] says, trials were looked at {' and '.join(filter(None, said))}"
-    return replace(data, trials=tuple(cut(one) for one in data.trials), notes=(*data.notes, note))
+    note = f"as [gap] says, trials were looked at {' and '.join(filter(None, parts))}"
+    return replace(data, trials=tuple(cut(trial) for trial in data.trials), notes=(*data.notes, note))
 
 
 def _run_trials(
@@ -300,9 +300,9 @@ def _run_trials(
     period_s = outcome.duration_s / len(measured[CYCLES].time_s)
     numbers = np.floor((time_s + 1e-3) / period_s)
     return [
-        made(time_s[numbers == one], float(one * period_s), {**outcome.condition, CYCLE: float(one)})
-        for one in np.unique(numbers)
-        if np.count_nonzero(numbers == one) > 1
+        made(time_s[numbers == number], float(number * period_s), {**outcome.condition, CYCLE: float(number)})
+        for number in np.unique(numbers)
+        if np.count_nonzero(numbers == number) > 1
     ]
 
 
@@ -325,9 +325,9 @@ def _find(
     if wanted not in known:
         near = get_close_matches(wanted or port.name, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"recorded were {', '.join(known)}"
-        said = f"is said to be {wanted!r}, which" if wanted else "has no channel of its name and"
+        explanation = f"is said to be {wanted!r}, which" if wanted else "has no channel of its name and"
         raise RequestError(
-            f"the model's {port.name!r} {said} is not in {target}",
+            f"the model's {port.name!r} {explanation} is not in {target}",
             hint=f"{hint}; [fit.signals] says which channel is what",
         )
     device, _, channel = wanted.partition(".")
@@ -373,7 +373,7 @@ def _columns(
 ) -> tuple[list[int], tuple[SignalInfo, ...]]:
     """Return which channel each port is, and what is known of it under the port's name."""
     names = [channel.name for channel in channels]
-    found = []
+    indices = []
     for port in ports:
         wanted = signals.get(port.name, port.name)
         if wanted not in names:
@@ -390,6 +390,6 @@ def _columns(
                 f"the channel {wanted!r} of {source} in {channels[index].unit}",
                 hint="say the same unit in the model and in recording.toml, converting the numbers of one of them",
             )
-        found.append(index)
-    named = zip(ports, found, strict=True)
-    return found, tuple(replace(channels[index], name=port.name) for port, index in named)
+        indices.append(index)
+    named = zip(ports, indices, strict=True)
+    return indices, tuple(replace(channels[index], name=port.name) for port, index in named)

@@ -106,7 +106,7 @@ def minimise(
     derivatives: Jacobian | None = None,
     secant: bool = False,
     confirmed: bool = True,
-    beside: Jacobian | None = None,
+    given_jacobian: Jacobian | None = None,
     renewals: float = math.inf,
     residual: list[FloatArray] | None = None,
 ) -> FloatArray:
@@ -134,7 +134,7 @@ def minimise(
         and taken anew only where that fails: one simulation of everything for a step, not one per variable.
     confirmed
         Whether a descent ends only on derivatives that were taken where it ends.
-    beside
+    given_jacobian
         Derivatives by the first shared variables and the trials' own, which change little on the way: where
         derivatives have to be taken anew, only those by the variables behind them are, unless a step fails with these.
     renewals
@@ -154,9 +154,9 @@ def minimise(
     while count < evaluations and (jacobian is not None or renewals > 0) and not stop(z):
         if jacobian is None:
             renewals -= 1
-            partly = beside is not None and not partly
+            partly = given_jacobian is not None and not partly
             jacobian = problem.jacobian(
-                z, residual, central=central, moving=moving, beside=beside if partly else None
+                z, residual, central=central, moving=moving, given_jacobian=given_jacobian if partly else None
             )
             fresh = not partly
         jacobian = replace(jacobian, residual=residual)
@@ -228,8 +228,8 @@ def _within(left: FloatArray, right: FloatArray, low: FloatArray, high: FloatArr
     scale = 1.0 / np.sqrt(np.diag(left))
     factor = np.linalg.cholesky(left * np.outer(scale, scale))
     target = np.linalg.solve(factor, right * scale)
-    found = lsq_linear(factor.T, target, bounds=(low / scale, high / scale), method="bvls")
-    return np.asarray(np.clip(found.x * scale, low, high))
+    solution = lsq_linear(factor.T, target, bounds=(low / scale, high / scale), method="bvls")
+    return np.asarray(np.clip(solution.x * scale, low, high))
 
 
 _GROWTH = (0.1, 0.35)
@@ -315,10 +315,10 @@ def search(problem: Problem, rng: np.random.Generator, *, starts: int, note: Not
 
 def _joined(shared: FloatArray, known: Sequence[Minimum]) -> Minimum | None:
     """Return the known minimum whose valley this point lies in."""
-    for one in known:
-        there = one.z[: len(shared)]
+    for minimum in known:
+        there = minimum.z[: len(shared)]
         if np.all(np.abs(shared - there) <= _SAME * np.maximum(np.abs(shared), np.abs(there))):
-            return one
+            return minimum
     return None
 
 
@@ -330,7 +330,7 @@ def _screened(problem: Problem, rng: np.random.Generator, wanted: int) -> list[F
         start = _draw(problem.priors, rng)
         z = np.concatenate([start, problem.guess(problem.parameters(start))])
         rated.append((short.misfit(z), number, start))
-    return [start for _, _, start in sorted(rated, key=lambda one: one[:2])[:wanted]]
+    return [start for _, _, start in sorted(rated, key=lambda pair: pair[:2])[:wanted]]
 
 
 def _draw(priors: Priors, rng: np.random.Generator) -> FloatArray:

@@ -150,11 +150,11 @@ def make_method(name: str, settings: Mapping[str, Any]) -> FitMethod:
     plugin = cast("FitPlugin", registry.load(GROUP, name))
     known, problems = validate(plugin.Settings, dict(settings), ("fit", "settings"))
     if problems or known is None:
-        told = [f"{dotted(item.path)}: {item.message}" for item in problems]
-        told += (
+        messages = [f"{dotted(item.path)}: {item.message}" for item in problems]
+        messages += (
             []
             if settings
             else [f"an experiment says them in [fit.methods.{name}]; labrun plugins names the fits"]
         )
-        raise RequestError("\n".join([f"fit {name}: settings that do not hold", *told]))
+        raise RequestError("\n".join([f"fit {name}: settings that do not hold", *messages]))
     return plugin(known)

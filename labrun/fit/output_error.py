@@ -186,20 +186,20 @@ def _result(
         # directions are told in shares of the estimates; one next to zero has no share
         share = np.maximum(np.abs(centre), _SMALLEST_SHARE)
         relative = (information.sum(axis=0) + np.diag(1.0 / np.square(sigma))) * share[:, None] * share
-        told, named, least = undetermined(relative, priors.names)
+        messages, named, least = undetermined(relative, priors.names)
         ends = np.minimum(resampled.low, -least * share), np.maximum(resampled.high, least * share)
-        low, high = (np.clip(centre + one, priors.lower, priors.upper) * priors.scale for one in ends)
-        for index, (name, place) in enumerate(zip(priors.names, priors.free, strict=True)):
+        low, high = (np.clip(centre + end, priors.lower, priors.upper) * priors.scale for end in ends)
+        for index, (name, variable) in enumerate(zip(priors.names, priors.free, strict=True)):
             interval = (float(low[index]), float(high[index]))
-            estimates[name] = Estimate(float(parameters[place]), interval, model.parameters[place].unit)
-        warnings += told
+            estimates[name] = Estimate(float(parameters[variable]), interval, model.parameters[variable].unit)
+        warnings += messages
         warnings += interval_warnings(estimates, problem, named)
         warnings += sign_warnings(estimates, problem)
     outcomes = []
     for minimum in minima:
         values = problem.parameters(minimum.z)[priors.free].tolist()
-        found = dict(zip(priors.names, values, strict=True))
-        outcomes.append(StartOutcome(minimum.label, found, minimum.misfit))
+        start_values = dict(zip(priors.names, values, strict=True))
+        outcomes.append(StartOutcome(minimum.label, start_values, minimum.misfit))
     warnings += divergence_warnings(problem, z)
     warnings += start_warnings(outcomes, estimates, direction_named=bool(named))
     names = [output.name for output in dataset.outputs]

@@ -179,11 +179,11 @@ class Problem:
 
     def attached(self, parameters: FloatArray) -> tuple[AttachedEffect, ...]:
         """Return the effects with their sizes, from the vector that `parameters` gives."""
-        found, at = [], len(self.model.parameters)
-        for one in self.effects:
-            found.append(one.with_values(parameters[at : at + len(one.values)].tolist()))
-            at += len(one.values)
-        return tuple(found)
+        columns, at = [], len(self.model.parameters)
+        for effect in self.effects:
+            columns.append(effect.with_values(parameters[at : at + len(effect.values)].tolist()))
+            at += len(effect.values)
+        return tuple(columns)
 
     def own(self, z: FloatArray, trial: int) -> FloatArray:
         """Return the scaled free initial states of one trial, and its deviations."""
@@ -197,12 +197,12 @@ class Problem:
     def initial_state(self, trial: int, own: FloatArray) -> FloatArray:
         """Return the initial state of one trial, shape (k,)."""
         free = len(self.states.free)
-        found = self.states.state(trial, own[:free])
+        state = self.states.state(trial, own[:free])
         spread = np.sqrt(self.data.trials[trial].count)
-        for one, size in zip(self.deviations, own[free:], strict=False):
-            if one.kind == "initial state" and one.output is not None:
-                found[one.output] += size * one.sd / spread
-        return found
+        for deviation, size in zip(self.deviations, own[free:], strict=False):
+            if deviation.kind == "initial state" and deviation.output is not None:
+                state[deviation.output] += size * deviation.sd / spread
+        return state
 
     # --- problems made from this one --------------------------------------------------------------------------------
 
@@ -232,7 +232,7 @@ class Problem:
 
     def with_drives(self, drives: Sequence[Drive]) -> Self:
         """Return the problem with its inputs on other steps of the integrator; itself if they are its own."""
-        same = all(one is other for one, other in zip(self.drives, drives, strict=True))
+        same = all(first is other for first, other in zip(self.drives, drives, strict=True))
         return self if same else replace(self, drives=tuple(drives))
 
     def in_steps_of(self, other: "Problem") -> Self:
@@ -242,7 +242,7 @@ class Problem:
     def with_measured(self, outputs: Sequence[FloatArray]) -> Self:
         """Return the problem with other measured outputs: the same experiment, had it come out differently."""
         pairs = zip(self.data.trials, outputs, strict=True)
-        trials = tuple(replace(trial, outputs=one) for trial, one in pairs)
+        trials = tuple(replace(trial, outputs=output) for trial, output in pairs)
         return replace(self, data=replace(self.data, trials=trials))
 
     def with_seen(self, seen: Sequence[FloatArray]) -> Self:
@@ -306,9 +306,9 @@ class Problem:
         parameters, start = parameters[: len(self.model.parameters)], self.initial_state(trial, own)
         deviating = own[len(self.states.free) :]
         drive = driven(laid_out, self.deviations, deviating, data.count)
-        if any(one.effect.kind == "output" for one in effects):
-            inside = tuple(one for one in effects if one.effect.kind != "output")
-            same = tuple((id(one.effect), one.site, one.values) for one in inside)
+        if any(effect.effect.kind == "output" for effect in effects):
+            inside = tuple(effect for effect in effects if effect.effect.kind != "output")
+            same = tuple((id(effect.effect), effect.site, effect.values) for effect in inside)
             before = self.simulations.get(  # effects at outputs share what is before them
                 (id(laid_out), parameters.tobytes(), start.tobytes(), deviating.tobytes(), same),
                 lambda: simulate_unfiltered(
@@ -317,8 +317,8 @@ class Problem:
                 ),
                 laid_out,
             )  # fmt: skip
-            found = filtered(self.model, before, effects)
-            return found.outputs if found.finite else None
+            simulation = filtered(self.model, before, effects)
+            return simulation.outputs if simulation.finite else None
         simulation = simulate(
             self.model, data.time_s, drive, parameters=parameters, condition=data.condition, initial_state=start,
             effects=effects,
@@ -335,7 +335,7 @@ class Problem:
         FitError
             The model leaves the finite numbers.
         """
-        parameters, found = self.parameters(z), []
+        parameters, simulated = self.parameters(z), []
         for index, trial in enumerate(self.data.trials):
             outputs = self.simulate(parameters, index, self.own(z, index))
             if outputs is None:
@@ -344,8 +344,8 @@ class Problem:
                     hint="check the units of its parameters and inputs, the sign of forces that should resist motion, "
                     "and how its states begin",
                 )
-            found.append(outputs)
-        return found
+            simulated.append(outputs)
+        return simulated
 
     def whiten(self, weighted: FloatArray, trial: int) -> FloatArray:
         """Return weighted values (n, m) of a trial as multiples of its noise, white."""
@@ -375,13 +375,13 @@ class Problem:
 
     def finite_residuals(self, z: FloatArray) -> list[FloatArray] | None:
         """Return the residual of every trial; None where a simulation is not finite."""
-        parameters, found = self.parameters(z), []
+        parameters, residuals = self.parameters(z), []
         for index in range(len(self.data.trials)):
             residual = self.trial_residual(parameters, index, self.own(z, index))
             if residual is None:
                 return None
-            found.append(residual)
-        return found
+            residuals.append(residual)
+        return residuals
 
     def residuals(self, z: FloatArray) -> list[FloatArray]:
         """Return the residual of every trial, huge where the simulation is not finite."""
@@ -389,9 +389,9 @@ class Problem:
 
         def residual(index: int) -> FloatArray:
             own = self.own(z, index)
-            found = self.trial_residual(parameters, index, own)
-            if found is not None:
-                return found
+            moved = self.trial_residual(parameters, index, own)
+            if moved is not None:
+                return moved
             huge = np.full(self.data.trials[index].outputs.size, self._huge)
             return np.concatenate([huge, self._behind(index, own)])
 
@@ -417,7 +417,7 @@ class Problem:
         *,
         central: bool = True,
         moving: NDArray[np.bool_] | None = None,
-        beside: Jacobian | None = None,
+        given_jacobian: Jacobian | None = None,
     ) -> Jacobian:
         """Return residuals (or take them as known) and their derivatives by the scaled variables.
 
@@ -426,7 +426,7 @@ class Problem:
 
         Parameters
         ----------
-        beside
+        given_jacobian
             Derivatives near `z` by the first of the shared variables, and by the trials' own, that are taken as they
             are: only those by the variables behind them are computed.
         """
@@ -435,11 +435,11 @@ class Problem:
 
         def slopes(index: int) -> tuple[FloatArray, FloatArray]:
             base, start = residual[index], self.own(z, index)
-            if beside is not None:
-                known = beside.shared[index]
+            if given_jacobian is not None:
+                known = given_jacobian.shared[index]
                 behind = range(known.shape[1], self.size)
-                added = [self._by_parameter(parameters, index, start, one, base, False) for one in behind]
-                return np.column_stack([known, *added]), beside.own[index]
+                added = [self._by_parameter(parameters, index, start, other, base, False) for other in behind]
+                return np.column_stack([known, *added]), given_jacobian.own[index]
             by_parameter = [
                 self._by_parameter(parameters, index, start, variable, base, central)
                 if moving is None or moving[variable]
@@ -447,13 +447,13 @@ class Problem:
                 for variable in range(self.size)
             ]
             by_state = [
-                self._by_state(parameters, index, start, place, base, central)
-                for place in range(self.own_size)
+                self._by_state(parameters, index, start, column, base, central)
+                for column in range(self.own_size)
             ]
             return _columns(by_parameter, len(base)), _columns(by_state, len(base))
 
-        found = self.each(slopes, range(len(residual)))
-        return Jacobian([shared for shared, _ in found], [own for _, own in found], residual)
+        derivatives = self.each(slopes, range(len(residual)))
+        return Jacobian([shared for shared, _ in derivatives], [own for _, own in derivatives], residual)
 
     def _by_parameter(
         self,
@@ -465,21 +465,27 @@ class Problem:
         central: bool,
     ) -> FloatArray:
         priors = self.priors
-        place, scale = priors.free[variable], priors.scale[variable]
+        index, scale = priors.free[variable], priors.scale[variable]
         return _difference_quotient(
-            lambda value: self.trial_residual(changed(parameters, place, value * scale), trial, own),
-            float(parameters[place] / scale),
+            lambda value: self.trial_residual(changed(parameters, index, value * scale), trial, own),
+            float(parameters[index] / scale),
             base,
             (float(priors.lower[variable]), float(priors.upper[variable])),
             central,
         )
 
     def _by_state(
-        self, parameters: FloatArray, trial: int, own: FloatArray, place: int, base: FloatArray, central: bool
+        self,
+        parameters: FloatArray,
+        trial: int,
+        own: FloatArray,
+        state_index: int,
+        base: FloatArray,
+        central: bool,
     ) -> FloatArray:
         return _difference_quotient(
-            lambda value: self.trial_residual(parameters, trial, changed(own, place, value)),
-            float(own[place]),
+            lambda value: self.trial_residual(parameters, trial, changed(own, state_index, value)),
+            float(own[state_index]),
             base,
             (-math.inf, math.inf),
             central,
@@ -498,19 +504,22 @@ class Problem:
         that never changes is no beginning but something that the trial has of its own: the whole of it tells.
         """
         short, constant = self.beginning(0.0), self.constant_states
-        moving = [place for place in range(len(self.states.free)) if place not in constant]
+        moving = [index for index in range(len(self.states.free)) if index not in constant]
         guesses = []
         for index, trial in enumerate(short.data.trials):
             own = np.zeros(self.own_size)
-            for place, state in enumerate(self.states.free):
+            for row, state in enumerate(self.states.free):
                 column = self.states.output_of(state)
-                own[place] = 0.0 if column is None else trial.outputs[0, column] / self.states.scale[place]
+                own[row] = 0.0 if column is None else trial.outputs[0, column] / self.states.scale[row]
             seen = own.copy()
             for _ in range(_GUESS_ROUNDS if moving else 0):
                 base = short.trial_residual(parameters, index, own)
                 if base is None:
                     break
-                slopes = [short._by_state(parameters, index, own, place, base, False) for place in moving]
+                slopes = [
+                    short._by_state(parameters, index, own, state_index, base, False)
+                    for state_index in moving
+                ]
                 own[moving] -= np.linalg.lstsq(np.column_stack(slopes), base, rcond=1e-8)[0]
             own = np.where(np.abs(own) < _LOST, own, seen)
             guesses.append(self._with_constant(parameters, index, own) if constant else own)
@@ -535,8 +544,8 @@ class Problem:
         places = list(self.constant_states)
 
         def residual(values: FloatArray) -> FloatArray:
-            found = self.trial_residual(parameters, trial, changed(own, places, values))
-            return np.full(self.data.trials[trial].outputs.size, self._huge) if found is None else found
+            moved = self.trial_residual(parameters, trial, changed(own, places, values))
+            return np.full(self.data.trials[trial].outputs.size, self._huge) if moved is None else moved
 
         if self.trial_residual(parameters, trial, own) is None:
             return own
@@ -595,6 +604,6 @@ def _difference_quotient(
     return (upper - lower) / (above - below)
 
 
-def _columns(found: Sequence[FloatArray], rows: int) -> FloatArray:
+def _columns(columns: Sequence[FloatArray], rows: int) -> FloatArray:
     """Return columns side by side, (rows, 0) if there are none."""
-    return np.column_stack(found) if found else np.empty((rows, 0))
+    return np.column_stack(columns) if columns else np.empty((rows, 0))

@@ -269,7 +269,7 @@ class FitResult(FitSummary):
     def record(self) -> dict[str, Any]:
         """Return what is stored with the numbers of `to_json`."""
         pairs = zip(self.dataset.trials, self.by_trial, strict=False)
-        by_trial = [{"trial": trial.label, **found} for trial, found in pairs]
+        by_trial = [{"trial": trial.label, **record} for trial, record in pairs]
         return {**FitSummary.record(self), "by_trial": by_trial}
 
 

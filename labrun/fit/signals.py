@@ -172,8 +172,10 @@ def load_signals(
     experiment = None
     if not imported_channels(run.experiment_toml):
         experiment = loads_experiment(run.experiment_toml, run.name, plugins=False).experiment
-    here = [one for one in run.outcomes if all(one.condition.get(name) == only[name] for name in only)]
-    accepted = [one for one in here if one.status == "done"]
+    here = [
+        outcome for outcome in run.outcomes if all(outcome.condition.get(name) == only[name] for name in only)
+    ]
+    accepted = [outcome for outcome in here if outcome.status == "done"]
     trials: list[SignalTrial] = []
     units: dict[str, str] = {}
     kind: Literal["recording", "run"] = "recording" if recorded else "run"
@@ -190,8 +192,8 @@ def load_signals(
             f"nothing to fit in {target}: it has {why}{condition}",
             hint=f"labrun show {target} lists its trials",
         )
-    kept = {one.label for one in check(Dataset(run.name, target, kind, (), (), tuple(sampled))).trials}
-    trials = [one for one in trials if one.label in kept]
+    kept = {trial.label for trial in check(Dataset(run.name, target, kind, (), (), tuple(sampled))).trials}
+    trials = [trial for trial in trials if trial.label in kept]
     return SignalSet(run.name, kind, tuple(trials), units, len(here) - len(trials))
 
 
@@ -241,9 +243,13 @@ class _Channels:
 
     def _base(self, wanted: Mapping[str, SignalTable]) -> Signals:
         """Return what the first wanted device measured that did; of a recording, its first channels with samples."""
-        devices = [one.channel.partition(".")[0] for one in wanted.values()]
-        measured = [self.measured[one] for one in devices if one in self.measured and one != COMMAND]
-        return (measured or [one for one in self.measured.values() if len(one) or not self.bare])[0]
+        devices = [table.channel.partition(".")[0] for table in wanted.values()]
+        measured = [
+            self.measured[device] for device in devices if device in self.measured and device != COMMAND
+        ]
+        return (
+            measured or [measured for measured in self.measured.values() if len(measured) or not self.bare]
+        )[0]
 
     def _time_base(self, wanted: Mapping[str, SignalTable], rate_hz: float | None) -> FloatArray:
         """Return times at the given rate, or that of the first wanted device that was measured."""
@@ -285,7 +291,7 @@ class _Channels:
             gait = resolve(self.experiment.gait.let, {**self.outcome.condition, "t": time_s})
             value = gait.get(part)
             if value is None or isinstance(value, str) or part == "t":
-                hint = suggest(f"gait.{part}", [f"gait.{one}" for one in gait if one != "t"], kind="parts")
+                hint = suggest(f"gait.{part}", [f"gait.{key}" for key in gait if key != "t"], kind="parts")
                 raise RequestError(f"the gait and its conditions have no number named {part!r}", hint=hint)
             along = np.broadcast_to(np.asarray(value, dtype=float), time_s.shape).copy()
             return along, self.experiment.units.get(part, "1")

@@ -51,43 +51,43 @@ def workers(count: int) -> Iterator[Each]:
             if ended.is_set():
                 return one_by_one(work, items)
             items, unwanted = list(items), threading.Event()
-            told = (*_unwanted(), unwanted)
-            places, found = iter(range(len(items))), dict[int, Result]()
+            messages = (*_unwanted(), unwanted)
+            places, results = iter(range(len(items))), dict[int, Result]()
 
             def take() -> None:
                 before = _unwanted()
-                _OF_THREAD.unwanted = told
+                _OF_THREAD.unwanted = messages
                 try:
-                    for place in places:  # whichever thread asks first
+                    for position in places:  # whichever thread asks first
                         stop_if_told()
-                        found[place] = work(items[place])
+                        results[position] = work(items[position])
                 except BaseException:
                     unwanted.set()
                     raise
                 finally:
                     _OF_THREAD.unwanted = before
 
-            begun = [take]
+            running = [take]
 
             def join() -> None:
-                for one in tuple(begun):
-                    one()
+                for task in tuple(running):
+                    task()
 
             try:
                 others = [pool.submit(join) for _ in range(min(count, len(items)) - 1)]
                 with suppress(CancelledError):  # what made it unwanted is told by another thread
                     take()
-                wrong = [error for one in others if not one.cancel() and (error := one.exception())]
+                wrong = [error for future in others if not future.cancel() and (error := future.exception())]
             except BaseException:
                 unwanted.set()
                 raise
             finally:
-                begun.clear()  # what still waits in the queue of busy threads must not hold the results
-            if len(found) < len(items):
+                running.clear()  # what still waits in the queue of busy threads must not hold the results
+            if len(results) < len(items):
                 raise min(
                     wrong, key=lambda error: isinstance(error, CancelledError), default=CancelledError()
                 )
-            return [found[place] for place in range(len(items))]
+            return [results[index] for index in range(len(items))]
 
         try:
             yield each
@@ -103,13 +103,13 @@ def stop_if_told() -> None:
 
     Raises CancelledError: in work of `workers` only.
     """
-    if any(one.is_set() for one in _unwanted()):
+    if any(event.is_set() for event in _unwanted()):
         raise CancelledError
 
 
 def _unwanted() -> tuple[threading.Event, ...]:
-    found: tuple[threading.Event, ...] = getattr(_OF_THREAD, "unwanted", ())
-    return found
+    unwanted: tuple[threading.Event, ...] = getattr(_OF_THREAD, "unwanted", ())
+    return unwanted
 
 
 _MOST_BYTES = 128_000_000
@@ -157,10 +157,10 @@ class Simulations:
             What the key names by its `id`, which is another's once it is gone: kept as long as the key.
         """
         with self._lock:
-            found = self._kept.get(key)
-            if found is not None:
+            kept = self._kept.get(key)
+            if kept is not None:
                 self._kept.move_to_end(key)
-                return found[0]
+                return kept[0]
         made = make()
         made = replace(made, states=made.states[:, :0].copy())  # nobody asks for them, and they are large
         with self._lock:
@@ -176,5 +176,5 @@ class Simulations:
         return Simulations, ()
 
 
-def _size(one: Unfiltered) -> int:
-    return one.outputs.nbytes + one.states.nbytes
+def _size(filtered_signals: Unfiltered) -> int:
+    return filtered_signals.outputs.nbytes + filtered_signals.states.nbytes

@@ -209,7 +209,7 @@ def undetermined(
     for index in flat:
         direction = directions[:, index]
         strong = np.abs(direction) > _VISIBLE * np.max(np.abs(direction))
-        members = [name for name, one in zip(names, strong, strict=True) if one]
+        members = [name for name, is_strong in zip(names, strong, strict=True) if is_strong]
         if len(members) == 1 and singular[index] >= _FLAT * largest:
             continue  # its interval tells: wider than its value, or around zero
         named.update(members)
@@ -335,12 +335,12 @@ def start_warnings(
     return warnings
 
 
-def _differs(one: StartOutcome, best: StartOutcome, estimates: Mapping[str, Estimate]) -> bool:
+def _differs(outcome: StartOutcome, best: StartOutcome, estimates: Mapping[str, Estimate]) -> bool:
     """Tell whether another set of parameters is one that the intervals do not hold."""
     return any(
-        abs(one.parameters[name] - best.parameters[name])
-        > 0.05 * max(abs(one.parameters[name]), abs(best.parameters[name]))
-        and not estimate.ci95[0] <= one.parameters[name] <= estimate.ci95[1]
+        abs(outcome.parameters[name] - best.parameters[name])
+        > 0.05 * max(abs(outcome.parameters[name]), abs(best.parameters[name]))
+        and not estimate.ci95[0] <= outcome.parameters[name] <= estimate.ci95[1]
         for name, estimate in estimates.items()
     )
 

@@ -54,19 +54,24 @@ class Priors:
         """Take a model's parameters as stated; those of tolerance 0 are no variables."""
         free = [index for index, parameter in enumerate(model.parameters) if parameter.tolerance != 0]
         parameters = [model.parameters[index] for index in free]
-        scale = np.array([abs(one.value) if one.value != 0 else 1.0 for one in parameters], dtype=float)
+        scale = np.array(
+            [abs(parameter.value) if parameter.value != 0 else 1.0 for parameter in parameters], dtype=float
+        )
         # a tolerance is relative; to one for a parameter of value zero
-        relative = [np.inf if isinstance(one.tolerance, str) else one.tolerance for one in parameters]
+        relative = [
+            np.inf if isinstance(parameter.tolerance, str) else parameter.tolerance
+            for parameter in parameters
+        ]
         sigma = np.array(relative, dtype=float) * scale
         return cls(
             model.values,
             np.array(free, dtype=np.intp),
-            tuple(one.name for one in parameters),
+            tuple(parameter.name for parameter in parameters),
             scale,
             sigma,
             np.where(np.isfinite(sigma), sigma, _UNBELIEVED * scale),
-            np.array([one.lower for one in parameters], dtype=float) / scale,
-            np.array([one.upper for one in parameters], dtype=float) / scale,
+            np.array([parameter.lower for parameter in parameters], dtype=float) / scale,
+            np.array([parameter.upper for parameter in parameters], dtype=float) / scale,
             weight,
         )
 
@@ -107,8 +112,10 @@ class Priors:
             for number, (attached, typical) in enumerate(zip(effects, scales, strict=True), start=first)
             for parameter, value in zip(attached.effect.parameters, attached.values, strict=True)
         ]
-        free = [place for place, (one, *_) in enumerate(added, start=len(self.values)) if not one.held]
-        fitted = [one for one in added if not one[0].held]
+        free = [
+            index for index, (parameter, *_) in enumerate(added, start=len(self.values)) if not parameter.held
+        ]
+        fitted = [pair for pair in added if not pair[0].held]
         scale = np.array([size for *_, size in fitted])
         behind = {
             "values": [value for _, value, _, _ in added],
@@ -116,13 +123,13 @@ class Priors:
             "scale": scale,
             "sigma": np.full(len(fitted), np.inf),
             "pull": _UNBELIEVED * scale,
-            "lower": [one.lower for one, *_ in fitted],
-            "upper": [one.upper for one, *_ in fitted],
+            "lower": [variable.lower for variable, *_ in fitted],
+            "upper": [variable.upper for variable, *_ in fitted],
         }
         arrays: dict[str, Any] = {
             key: np.concatenate([getattr(self, key), new]) for key, new in behind.items()
         }
-        names = (*self.names, *(f"{number}.{one.name}" for one, _, number, _ in fitted))
+        names = (*self.names, *(f"{number}.{variable.name}" for variable, _, number, _ in fitted))
         return replace(self, names=names, **arrays)
 
     def within(self, tolerances: float) -> Self:
@@ -147,14 +154,16 @@ class Priors:
             "lower": max(parameter.lower / scale, low),
             "upper": min(parameter.upper / scale, high),
         }
-        arrays: dict[str, Any] = {key: changed(getattr(self, key), variable, one) for key, one in put.items()}
+        arrays: dict[str, Any] = {
+            key: changed(getattr(self, key), variable, value) for key, value in put.items()
+        }
         return replace(self, **arrays)
 
 
-def changed(values: FloatArray, place: int | list[int], value: float | FloatArray) -> FloatArray:
+def changed(values: FloatArray, index: int | list[int], value: float | FloatArray) -> FloatArray:
     """Return values with others at one place, or at some."""
     values = values.copy()
-    values[place] = value
+    values[index] = value
     return values
 
 
@@ -203,7 +212,9 @@ class InitialStates:
     def scale(self) -> FloatArray:
         """Typical size of each free state: that of the output it is, or of the largest one."""
         shown = [self.output_of(state) for state in self.free]
-        return np.array([float(np.max(self.spread) if one is None else self.spread[one]) for one in shown])
+        return np.array(
+            [float(np.max(self.spread) if output is None else self.spread[output]) for output in shown]
+        )
 
     def state(self, trial: int, own: FloatArray) -> FloatArray:
         """Return the initial state of one trial, shape (k,), with its free ones, scaled, as in `own` (q,)."""
@@ -240,8 +251,8 @@ class InitialStates:
         columns = [self._shown.index(self.model.states[state]) for state in self.read]
         moved = [np.ptp(trial.outputs[:FIRST_SAMPLES, columns], axis=0) for trial in self.trials]
         return [
-            np.hypot(self.sd[columns] / np.sqrt(trial.count), one) + 1e-9 * self.spread[columns]
-            for trial, one in zip(self.trials, moved, strict=True)
+            np.hypot(self.sd[columns] / np.sqrt(trial.count), state) + 1e-9 * self.spread[columns]
+            for trial, state in zip(self.trials, moved, strict=True)
         ]
 
     @cached_property
@@ -274,12 +285,14 @@ class Deviation:
 
 def driven(drive: Drive, deviations: Sequence[Deviation], own: FloatArray, count: int) -> Drive:
     """Return the inputs of the mean of `count` trials with the deviations that are theirs, as `deviated` outputs."""
-    for one, size in zip(deviations, own, strict=True):
-        if one.kind not in ("input bias", "input gain") or one.output is None:
+    for deviation, size in zip(deviations, own, strict=True):
+        if deviation.kind not in ("input bias", "input gain") or deviation.output is None:
             continue
-        away, u, last = size * one.sd / np.sqrt(count), drive.u.copy(), drive.u_last.copy()
+        away, u, last = size * deviation.sd / np.sqrt(count), drive.u.copy(), drive.u_last.copy()
         for values in (u, last):
-            values[..., one.output] += away * (values[..., one.output] if one.kind == "input gain" else 1.0)
+            values[..., deviation.output] += away * (
+                values[..., deviation.output] if deviation.kind == "input gain" else 1.0
+            )
         drive = replace(drive, u=u, u_last=last)
     return drive
 
@@ -291,16 +304,18 @@ def deviated(
 
     Initial states and inputs are left out: the simulation has them already.
     """
-    found = outputs.copy()
-    for one, size in zip(deviations, own * [each.sd / np.sqrt(count) for each in deviations], strict=True):
-        columns = slice(None) if one.output is None else slice(one.output, one.output + 1)
-        if one.kind == "bias":
-            found[:, columns] += size
-        elif one.kind == "gain":
-            found[:, columns] *= 1.0 + size
-        elif one.kind == "start time":
+    shifted = outputs.copy()
+    for deviation, size in zip(
+        deviations, own * [each.sd / np.sqrt(count) for each in deviations], strict=True
+    ):
+        columns = slice(None) if deviation.output is None else slice(deviation.output, deviation.output + 1)
+        if deviation.kind == "bias":
+            shifted[:, columns] += size
+        elif deviation.kind == "gain":
+            shifted[:, columns] *= 1.0 + size
+        elif deviation.kind == "start time":
             late = time_s - size
-            found[:, columns] = np.column_stack(
-                [np.interp(late, time_s, each) for each in found[:, columns].T]
+            shifted[:, columns] = np.column_stack(
+                [np.interp(late, time_s, each) for each in shifted[:, columns].T]
             )
-    return found
+    return shifted

@@ -101,7 +101,7 @@ def _followed(base: Base, screened: Screened, problem: Problem, start: FloatArra
         evaluations=criteria.FIT_EVALUATIONS,
         central=False,
         secant=True,
-        beside=derivatives_around(base, screened.candidate),
+        given_jacobian=derivatives_around(base, screened.candidate),
         renewals=criteria.FIT_RENEWALS,
     )
     squares = problem.squares(z)
@@ -129,7 +129,7 @@ def _shape_fitted(
             central=False,
             secant=around is not None,
             confirmed=around is None,
-            beside=around,
+            given_jacobian=around,
         )
         for start in _starts(candidate, choices, sizes)
     ]

@@ -285,10 +285,10 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
             tolerance=criteria.ROUGH_TOLERANCE,
             evaluations=criteria.ROUGH_EVALUATIONS,
             central=False,
-            derivatives=None if beside is None else problem.jacobian(start, there, beside=beside),
+            derivatives=None if beside is None else problem.jacobian(start, there, given_jacobian=beside),
             secant=beside is not None,
             confirmed=beside is None,
-            beside=beside,
+            given_jacobian=beside,
             residual=there,
         )
         ends.append((problem.squares(z), problem, z))
@@ -314,7 +314,7 @@ def follow(base: Base, begun: Screened) -> Screened:
         evaluations=criteria.FIT_EVALUATIONS,
         central=False,
         secant=True,
-        beside=beside,
+        given_jacobian=beside,
         renewals=criteria.FIT_RENEWALS,
     )
     return _screened(base, begun.survey, problem, z, problem.squares(z))

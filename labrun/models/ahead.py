@@ -21,13 +21,13 @@ def read_outputs_ahead(
     if not steps_s.size:
         return
     time_s = np.concatenate([[0.0], np.cumsum(steps_s)])
-    names = [one.name for one in model.outputs]
-    for one in effects:
-        place, lead_s = names.index(one.site), one.named_values[one.effect.ahead]
-        course = outputs[:, place].copy()
+    names = [output.name for output in model.outputs]
+    for effect in effects:
+        index, lead_s = names.index(effect.site), effect.named_values[effect.effect.ahead]
+        course = outputs[:, index].copy()
         slope = (course[-1] - course[-2]) / steps_s[-1]
         beyond_s = np.maximum(time_s + lead_s - time_s[-1], 0.0)
-        outputs[:, place] = np.interp(time_s + lead_s, time_s, course) + slope * beyond_s
+        outputs[:, index] = np.interp(time_s + lead_s, time_s, course) + slope * beyond_s
 
 
 def inputs_ahead(
@@ -42,11 +42,11 @@ def inputs_ahead(
     if not steps_s.size:
         return u
     u = u.copy()
-    names = [one.name for one in model.inputs]
+    names = [signal.name for signal in model.inputs]
     edges_s = np.concatenate([[0.0], np.cumsum(steps_s)])
-    for one in effects:
-        place, lead_s = names.index(one.site), one.named_values[one.effect.ahead]
-        course = _Pieces(u[:, :, place], float(u_last[place]), steps_s, lead_s)
+    for effect in effects:
+        index, lead_s = names.index(effect.site), effect.named_values[effect.effect.ahead]
+        course = _Pieces(u[:, :, index], float(u_last[index]), steps_s, lead_s)
         begin, until_begin, twice_begin = course.at(edges_s[:-1] + lead_s, "right")
         end, until_end, twice_end = course.at(edges_s[1:] + lead_s, "left")
         middle = course.at(edges_s[:-1] + 0.5 * steps_s + lead_s, "left")[0]
@@ -55,10 +55,10 @@ def inputs_ahead(
         jumps = course.jumps_within(edges_s[:-1] + lead_s, edges_s[1:] + lead_s)
         middle = np.where(jumps, 3.0 * moment - 0.5 * begin, middle)
         # the integrator takes two steps as one where the signal does not jump between them: to the last bit
-        rounding = _ROUNDING * np.max(np.abs(u[:, :, place]))
+        rounding = _ROUNDING * np.max(np.abs(u[:, :, index]))
         end[:-1] = np.where(np.abs(end[:-1] - begin[1:]) > rounding, end[:-1], begin[1:])
         end = np.where(jumps, 6.0 * mean - begin - 4.0 * middle, end)
-        u[:, :, place] = np.column_stack([begin, middle, end])
+        u[:, :, index] = np.column_stack([begin, middle, end])
     return u
 
 
@@ -79,7 +79,7 @@ class _Pieces:
         """Tell where it jumps between two times."""
         jumps_s = self._since_s[1:][self._begin[1:] != self._end[:-1]]
         before, until = (
-            np.searchsorted(jumps_s, one) for one in (begin_s + _ROUNDING_S, end_s - _ROUNDING_S)
+            np.searchsorted(jumps_s, time) for time in (begin_s + _ROUNDING_S, end_s - _ROUNDING_S)
         )
         return np.asarray(until > before)
 

@@ -96,19 +96,20 @@ def _from_folder(path: Path, folder: Path | None) -> str:
 
 def _changed(model: Model, values: Mapping[str, float]) -> dict[str, float]:
     """Return the values that differ from the model's own, checked."""
-    parameters = {one.name: one for one in model.parameters}
+    parameters = {parameter.name: parameter for parameter in model.parameters}
     changed = {}
     for name, given in values.items():
         if name not in parameters:
             raise ModelError(
                 f"model {model.name} has no parameter {name!r}", hint=suggest(name, list(parameters))
             )
-        one, value = parameters[name], float(given)
-        if not math.isfinite(value) or not one.lower <= value <= one.upper:
+        parameter, value = parameters[name], float(given)
+        if not math.isfinite(value) or not parameter.lower <= value <= parameter.upper:
             raise ModelError(
-                f"{name} = {value:g} cannot be written: model {model.name} takes {one.lower:g} to {one.upper:g}"
+                f"{name} = {value:g} cannot be written: model {model.name} takes {parameter.lower:g} to "
+                f"{parameter.upper:g}"
             )
-        if value != one.value:
+        if value != parameter.value:
             changed[name] = value
     return changed
 
@@ -116,11 +117,11 @@ def _changed(model: Model, values: Mapping[str, float]) -> dict[str, float]:
 def _comment(model: Model, heading: str, changed: Mapping[str, float], remarks: str | Sequence[str]) -> str:
     sentences = [remarks] if isinstance(remarks, str) else list(remarks)
     lines = [heading, *sentences]
-    parameters = {one.name: one for one in model.parameters}
+    parameters = {parameter.name: parameter for parameter in model.parameters}
     for name, value in changed.items():
         unit = "" if parameters[name].unit == "1" else f" {parameters[name].unit}"
         lines.append(f"{name}: {parameters[name].value:g}{unit} became {value:g}{unit}")
-    return "".join(f"# {line}\n" for one in lines for line in one.splitlines()) + "\n"
+    return "".join(f"# {line}\n" for text in lines for line in text.splitlines()) + "\n"
 
 
 def _quoted(text: str) -> str:
@@ -130,11 +131,11 @@ def _quoted(text: str) -> str:
 
 def _with_parameters(text: str, values: Mapping[str, float]) -> str:
     """Replace parameter values of a model with equations, however it writes them."""
-    found = locate(text).spans
+    spans = locate(text).spans
     paths: dict[KeyPath, str] = {}
     for name, value in values.items():
         path = ("parameters", name)
-        paths[(*path, "value") if (*path, "value") in found else path] = repr(value)
+        paths[(*path, "value") if (*path, "value") in spans else path] = repr(value)
     return replaced(text, paths)
 
 
@@ -145,44 +146,44 @@ def _with_values(text: str, values: Mapping[str, float]) -> str:
     new = {name: repr(value) for name, value in values.items() if ("values", name) not in there}
     if not new:
         return text
-    found = locate(text)
+    positions = locate(text)
     rows = text.splitlines()
-    head = found.keys.get(("values",))
-    place = None if head is None else head.line
-    if ("values",) in found.spans:  # values = { ... }
+    head = positions.keys.get(("values",))
+    header = None if head is None else head.line
+    if ("values",) in positions.spans:  # values = { ... }
         inner = [f"{name} = {value}" for name, value in new.items()]
-        names = [path for path in found.spans if path[:1] == ("values",) and len(path) == 2]
+        names = [path for path in positions.spans if path[:1] == ("values",) and len(path) == 2]
         if not names:
             return replaced(text, {("values",): f"{{ {', '.join(inner)} }}"})
-        last = max(names, key=lambda path: found.spans[path])
-        return _behind(text, found.spans[last][1], f", {', '.join(inner)}")
-    if place is None:  # before the first table, behind the keys that stand alone
-        place = next((index for index, row in enumerate(rows) if row.lstrip().startswith("[")), len(rows))
+        last = max(names, key=lambda path: positions.spans[path])
+        return _behind(text, positions.spans[last][1], f", {', '.join(inner)}")
+    if header is None:  # before the first table, behind the keys that stand alone
+        header = next((index for index, row in enumerate(rows) if row.lstrip().startswith("[")), len(rows))
         lines = ["", "[values]", *(f"{name} = {value}" for name, value in new.items())]
-    elif re.match(r"\s*\[", rows[place - 1]):  # [values]
+    elif re.match(r"\s*\[", rows[header - 1]):  # [values]
         lines = [f"{name} = {value}" for name, value in new.items()]
     else:  # values.name = ...
         lines = [f"values.{name} = {value}" for name, value in new.items()]
-    return "\n".join([*rows[:place], *lines, *rows[place:]]) + "\n"
+    return "\n".join([*rows[:header], *lines, *rows[header:]]) + "\n"
 
 
 def _with_effects(text: str, effects: Sequence[AttachedEffect]) -> str:
     """Add effects behind those the text has."""
-    found = locate(text).spans
-    if ("effects",) not in found:
-        return "\n".join([text.rstrip() + "\n", *(f"[[effects]]\n{_rows(one)}" for one in effects)])
+    spans = locate(text).spans
+    if ("effects",) not in spans:
+        return "\n".join([text.rstrip() + "\n", *(f"[[effects]]\n{_rows(effect)}" for effect in effects)])
     if not effects:
         return text
-    inline = ", ".join("{ " + ", ".join(_rows(one).splitlines()) + " }" for one in effects)
-    last = [span for path, span in found.items() if path[:1] == ("effects",) and len(path) == 2]
+    inline = ", ".join("{ " + ", ".join(_rows(effect).splitlines()) + " }" for effect in effects)
+    last = [span for path, span in spans.items() if path[:1] == ("effects",) and len(path) == 2]
     if not last:
         return replaced(text, {("effects",): f"[{inline}]"})
     return _behind(text, max(last)[1], f", {inline}")
 
 
-def _behind(text: str, place: int, more: str) -> str:
+def _behind(text: str, index: int, more: str) -> str:
     encoded = text.encode()
-    return (encoded[:place] + more.encode() + encoded[place:]).decode()
+    return (encoded[:index] + more.encode() + encoded[index:]).decode()
 
 
 def _rows(attached: AttachedEffect) -> str:
@@ -198,7 +199,7 @@ def _rows(attached: AttachedEffect) -> str:
 
 def _name_of(effect: Effect) -> str:
     """Return what `labrun.effects.load_effect` takes for it: its id, its file, or where its module keeps it."""
-    if any(one.id == effect.id and one.kind == effect.kind for one in effects(without=())):
+    if any(other.id == effect.id and other.kind == effect.kind for other in effects(without=())):
         return effect.id
     if effect.origin:
         return f"{effect.origin}:{effect.id}"

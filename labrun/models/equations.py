@@ -35,9 +35,13 @@ def equations_model(file: ModelFile) -> Model:
     """
     given = file.read(EquationsFile)
     inputs = inputs_of(given.inputs)
-    outputs = tuple(Output(name, one.unit, shows=one.equation.text) for name, one in given.outputs.items())
-    parameters = tuple(parameter_of(name, one, one.value) for name, one in given.parameters.items())
-    sites = tuple(_site(name, one) for name, one in given.sites.items())
+    outputs = tuple(
+        Output(name, output.unit, shows=output.equation.text) for name, output in given.outputs.items()
+    )
+    parameters = tuple(
+        parameter_of(name, parameter, parameter.value) for name, parameter in given.parameters.items()
+    )
+    sites = tuple(_site(name, site) for name, site in given.sites.items())
     places = places_of(file, given.states, inputs, parameters)
     for name in given.where.keys() & {*places, *(given.conditions or {})}:
         file.note(("where", name), f"{name!r} is already the name of something else")
@@ -45,15 +49,17 @@ def equations_model(file: ModelFile) -> Model:
     _check_states(file, given)
 
     readings: dict[KeyPath, Expression] = {
-        ("outputs", name): one.equation for name, one in given.outputs.items()
+        ("outputs", name): output.equation for name, output in given.outputs.items()
     }
     quantities: dict[KeyPath, Expression] = {
-        ("sites", name, quantity): getattr(one, quantity)
-        for name, one in given.sites.items()
+        ("sites", name, quantity): getattr(site, quantity)
+        for name, site in given.sites.items()
         for quantity in SITE_QUANTITIES
     }
-    expressions: dict[KeyPath, Expression] = {("where", key): one for key, one in given.where.items()}
-    expressions |= {("equations", key): one for key, one in given.equations.items()}
+    expressions: dict[KeyPath, Expression] = {
+        ("where", key): expression for key, expression in given.where.items()
+    }
+    expressions |= {("equations", key): equation for key, equation in given.equations.items()}
     expressions |= {**readings, **quantities}
     _check_helpers(file, given.where, expressions)
     _check_springs(file, given)
@@ -63,9 +69,11 @@ def equations_model(file: ModelFile) -> Model:
     refuse_unused(file, expressions, parameters, conditions)
     moving = needed(given.where, [*given.equations.values(), *readings.values()])
     idle = {("where", name) for name in given.where if name not in moving}
-    notes = only_in_loads({path: one for path, one in expressions.items() if path not in idle}, parameters)
+    notes = only_in_loads(
+        {path: expression for path, expression in expressions.items() if path not in idle}, parameters
+    )
 
-    places |= {one: f"p[{len(parameters) + index}]" for index, one in enumerate(conditions)}
+    places |= {condition: f"p[{len(parameters) + index}]" for index, condition in enumerate(conditions)}
     places |= {f"force.{site.name}": f"force[{index}]" for index, site in enumerate(sites)}
     written = {
         "derivative": [given.equations[state] for state in given.states],
@@ -95,7 +103,7 @@ def equations_model(file: ModelFile) -> Model:
 
 
 def _site(name: str, table: SiteTable) -> Site:
-    coordinate, rate, load, stiffness = (table.text(one) for one in SITE_QUANTITIES)
+    coordinate, rate, load, stiffness = (table.text(quantity) for quantity in SITE_QUANTITIES)
     return Site(name, table.kind, coordinate, rate, load, stiffness, table.drive, table.unit)
 
 
@@ -111,15 +119,15 @@ def _check_states(file: ModelFile, given: EquationsFile) -> None:
 
 def _check_helpers(file: ModelFile, helpers: Mapping[str, Expression], written: Expressions) -> None:
     """Note a named expression that knows itself or one below it, or that nothing uses."""
-    used = needed(helpers, [one for path, one in written.items() if path[0] != "where"])
+    used = needed(helpers, [expression for path, expression in written.items() if path[0] != "where"])
     names = list(helpers)
-    for index, (name, one) in enumerate(helpers.items()):
+    for index, (name, helper) in enumerate(helpers.items()):
         if name not in used:
             file.note(("where", name), f"no equation uses {name!r}", "take it out")
         for later in names[index:]:
-            if later in one.names:
+            if later in helper.names:
                 reason = f"{later!r} is not known here: a line knows those above it"
-                problem = ExpressionError(one.text, reason, one.names[later])
+                problem = ExpressionError(helper.text, reason, helper.names[later])
                 file.note_in(("where", name), problem)
 
 
@@ -162,8 +170,10 @@ def _check_forces(file: ModelFile, expressions: Expressions, sites: Sequence[Sit
 
 def _unused_inputs(expressions: Expressions, inputs: Sequence[Input]) -> tuple[str, ...]:
     """Return what to tell about inputs that nothing uses: harmless, but worth knowing."""
-    used = {name for one in expressions.values() for name in one.names}
-    return tuple(f"input {one.name!r} is used by no equation" for one in inputs if one.name not in used)
+    used = {name for expression in expressions.values() for name in expression.names}
+    return tuple(
+        f"input {signal.name!r} is used by no equation" for signal in inputs if signal.name not in used
+    )
 
 
 def python_model(
@@ -208,12 +218,12 @@ def python_model(
     ModelError
         A site's expression does not hold.
     """
-    ins = tuple(Input(one) if isinstance(one, str) else one for one in inputs)
-    outs = tuple(Output(one) if isinstance(one, str) else one for one in outputs)
-    variables = {one: f"x[{index}]" for index, one in enumerate(states)}
-    variables |= {one.name: f"u[{index}]" for index, one in enumerate(ins)}
-    numbers = [*(one.name for one in parameters), *conditions]
-    variables |= {one: f"p[{index}]" for index, one in enumerate(numbers)}
+    ins = tuple(Input(signal) if isinstance(signal, str) else signal for signal in inputs)
+    outs = tuple(Output(port) if isinstance(port, str) else port for port in outputs)
+    variables = {state: f"x[{index}]" for index, state in enumerate(states)}
+    variables |= {port.name: f"u[{index}]" for index, port in enumerate(ins)}
+    numbers = [*(parameter.name for parameter in parameters), *conditions]
+    variables |= {number: f"p[{index}]" for index, number in enumerate(numbers)}
     expressions = []
     for site in sites:
         if site.kind not in FORCED:

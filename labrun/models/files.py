@@ -52,8 +52,8 @@ def load_model(source: str | Path, depth: int = 0) -> Model:
         return parse_model(_text(path), str(path), depth)
     name = str(source)
     if ":" in name or registry.is_installed(GROUP, name):
-        found = registry.load(GROUP, name)
-        made = found() if callable(found) and not isinstance(found, Model) else found
+        loaded = registry.load(GROUP, name)
+        made = loaded() if callable(loaded) and not isinstance(loaded, Model) else loaded
         if not isinstance(made, Model):
             raise ModelError(f"{name} is no labrun model but {type(made).__name__}")
         return made
@@ -99,7 +99,7 @@ def _origin(file: ModelFile) -> Origin:
     """Return where a corrected model says it comes from; files are counted from the folder of its own."""
     table, folder = file.data["corrected"], Path(file.name).parent
     named = (table["from"], table.get("by", ""))
-    return Origin(*(str(folder / one) if one and (folder / one).exists() else one for one in named))
+    return Origin(*(str(folder / name) if name and (folder / name).exists() else name for name in named))
 
 
 def _based_model(file: ModelFile, depth: int) -> Model:
@@ -107,20 +107,20 @@ def _based_model(file: ModelFile, depth: int) -> Model:
     given = file.read(BasedFile)
     if depth >= _DEEPEST:
         file.fail(("base",), f"models refer to one another more than {_DEEPEST} deep", "is it a circle?")
-    beside = Path(file.name).parent / given.base
-    is_file = given.base.endswith(".toml") or beside.is_file()
+    sibling = Path(file.name).parent / given.base
+    is_file = given.base.endswith(".toml") or sibling.is_file()
     try:
-        model = load_model(beside if is_file else given.base, depth + 1)
+        model = load_model(sibling if is_file else given.base, depth + 1)
     except LabrunError as error:
         file.fail(("base",), str(error.args[0]), error.hint)
-    parameters = {one.name: one for one in model.parameters}
+    parameters = {parameter.name: parameter for parameter in model.parameters}
     for name, value in given.values.items():
-        one = parameters.get(name)
-        if one is None:
+        parameter = parameters.get(name)
+        if parameter is None:
             hint = suggest(name, parameters)
             file.note(("values", name), f"model {model.name} has no parameter {name!r}", hint)
-        elif not one.lower <= value <= one.upper:
-            expected = f"expected a number from {one.lower:g} to {one.upper:g}"
+        elif not parameter.lower <= value <= parameter.upper:
+            expected = f"expected a number from {parameter.lower:g} to {parameter.upper:g}"
             file.note(("values", name), expected, at_value=True)
     rules = {state: rule for state, rule in given.initial.items() if not _rests(model, state, rule)}
     initial_of(file, rules, model.states, model.outputs)

@@ -40,5 +40,5 @@ def model_files_like(path: Path) -> list[str]:
     if not path.suffix and len(path.parts) == 1:
         return []
     there = path.parent.glob("*") if path.parent.is_dir() else ()
-    files = [str(one) for one in sorted(there) if one.suffix == ".toml" or is_robot(one)]
+    files = [str(file) for file in sorted(there) if file.suffix == ".toml" or is_robot(file)]
     return files if nearest(str(path), files) is not None else []

@@ -100,28 +100,28 @@ def layout(model: Model, effects: Sequence[AttachedEffect]) -> Layout:
     Raises ModelError: an effect does not fit, or a value of it is missing or not a number.
     """
     total = 0.0
-    for one in effects:
-        if len(one.values) != len(one.effect.parameters):
-            one.check(model)
-        total += sum(one.values)
+    for effect in effects:
+        if len(effect.values) != len(effect.effect.parameters):
+            effect.check(model)
+        total += sum(effect.values)
     if math.isnan(total):  # or infinities of both signs, which are values
-        for one in effects:
-            one.check(model)
+        for effect in effects:
+            effect.check(model)
     known = model.layouts
-    key = tuple([(id(one.effect), one.site) for one in effects])
-    found = known.get(key)
-    if found is None:
+    key = tuple([(id(effect.effect), effect.site) for effect in effects])
+    out = known.get(key)
+    if out is None:
         if len(known) >= _MOST_LAYOUTS:
             known.clear()
-        found = known[key] = _laid_out(model, effects)
-    return found
+        out = known[key] = _laid_out(model, effects)
+    return out
 
 
-def law_values(found: Layout, effects: Sequence[AttachedEffect]) -> FloatArray:
+def law_values(laid_out: Layout, effects: Sequence[AttachedEffect]) -> FloatArray:
     """Return the values of all laws, one behind the other."""
-    if not found.acting:
+    if not laid_out.acting:
         return _NO_NUMBERS
-    return np.array([value for index in found.acting for value in effects[index].values], dtype=float)
+    return np.array([value for index in laid_out.acting for value in effects[index].values], dtype=float)
 
 
 def filters(
@@ -131,25 +131,28 @@ def filters(
     if not chosen:
         return _NO_FILTERS
     ones = [effects[index] for index in chosen]
-    order = [one.name for one in (model.inputs if ones[0].effect.kind == "input" else model.outputs)]
-    lengths = [max(1, one.effect.memory(one.values, shortest_s)) if one.effect.memory else 1 for one in ones]
+    order = [signal.name for signal in (model.inputs if ones[0].effect.kind == "input" else model.outputs)]
+    lengths = [
+        max(1, effect.effect.memory(effect.values, shortest_s)) if effect.effect.memory else 1
+        for effect in ones
+    ]
     memory_offsets = _offsets(lengths)
     memory = np.zeros(sum(lengths))
     memory[memory_offsets] = lengths
     return Filters(
-        addresses=_integers([one.effect.function.address for one in ones]),
-        channels=_integers([order.index(one.site) for one in ones]),
-        offsets=_integers(_offsets([len(one.values) for one in ones])),
-        values=np.array([value for one in ones for value in one.values], dtype=float),
+        addresses=_integers([effect.effect.function.address for effect in ones]),
+        channels=_integers([order.index(effect.site) for effect in ones]),
+        offsets=_integers(_offsets([len(effect.values) for effect in ones])),
+        values=np.array([value for effect in ones for value in effect.values], dtype=float),
         memory_offsets=_integers(memory_offsets),
         memory=memory,
     )
 
 
 def _laid_out(model: Model, effects: Sequence[AttachedEffect]) -> Layout:
-    for one in effects:
-        one.check(model)
-    kinds = [one.effect.kind for one in effects]
+    for effect in effects:
+        effect.check(model)
+    kinds = [effect.effect.kind for effect in effects]
     acting = tuple(index for index, kind in enumerate(kinds) if kind in FORCED)
     return Layout(
         derivative=model.derivative.address,
@@ -158,20 +161,20 @@ def _laid_out(model: Model, effects: Sequence[AttachedEffect]) -> Layout:
         acting=acting,
         before=tuple(index for index, kind in enumerate(kinds) if kind == "input"),
         after=tuple(index for index, kind in enumerate(kinds) if kind == "output"),
-        effects=tuple(one.effect for one in effects),
+        effects=tuple(effect.effect for effect in effects),
     )
 
 
 def _forces(model: Model, chosen: Sequence[AttachedEffect]) -> Forces:
     order = [site.name for site in model.sites]
     rows = [_read(model, site) for site in model.sites]
-    states = [one.effect.states for one in chosen]
+    states = [effect.effect.states for effect in chosen]
     laws = sorted(
         zip(
-            [one.effect.function.address for one in chosen],
-            [order.index(one.site) for one in chosen],
-            [int(one.effect.needs_acceleration) for one in chosen],
-            _offsets([len(one.effect.parameters) for one in chosen]),
+            [effect.effect.function.address for effect in chosen],
+            [order.index(effect.site) for effect in chosen],
+            [int(effect.effect.needs_acceleration) for effect in chosen],
+            _offsets([len(effect.effect.parameters) for effect in chosen]),
             [len(model.states) + offset for offset in _offsets(states)],
             strict=True,
         ),
@@ -179,7 +182,7 @@ def _forces(model: Model, chosen: Sequence[AttachedEffect]) -> Forces:
     )
     at = [law[1] for law in laws]
     bounds = [(bisect_left(at, site), bisect_right(at, site)) for site in range(len(rows))]
-    coupled = any(one.effect.needs_acceleration for one in chosen)
+    coupled = any(effect.effect.needs_acceleration for effect in chosen)
     total, sites = len(model.states) + sum(states), len(rows)
     return Forces(
         site_values=0 if _all_read(model, rows, chosen) else model.site_values.address,
@@ -194,7 +197,7 @@ def _forces(model: Model, chosen: Sequence[AttachedEffect]) -> Forces:
 
 def _read(model: Model, site: Site) -> tuple[int, int, int]:
     states = model.states
-    parameters = [one.name for one in model.parameters]
+    parameters = [parameter.name for parameter in model.parameters]
     return (
         states.index(site.coordinate) if site.coordinate in states else -1,
         states.index(site.rate) if site.rate in states else -1,
@@ -211,7 +214,11 @@ def _all_read(model: Model, rows: Sequence[tuple[int, int, int]], chosen: Sequen
         coordinate >= 0 and rate >= 0 and (stiffness >= 0 or not site.stiffness)
         for site, (coordinate, rate, stiffness) in zip(model.sites, rows, strict=True)
     )
-    return plain and is_generated(model.site_values) and not any(_may_read_load(one.effect) for one in chosen)
+    return (
+        plain
+        and is_generated(model.site_values)
+        and not any(_may_read_load(effect.effect) for effect in chosen)
+    )
 
 
 def _may_read_load(effect: Effect) -> bool:
@@ -350,8 +357,8 @@ def drive(
         fractions = np.arange(2 * count + 1) / (2 * count)
         for index, kind in enumerate(between):
             course = _course(time_s, values[:, index], kind, fractions)[alike]
-            for place in range(3):
-                u[steps, place, index] = course[:, place : 2 * count - 1 + place : 2]
+            for axis in range(3):
+                u[steps, axis, index] = course[:, axis : 2 * count - 1 + axis : 2]
     return Drive(time_s, steps_s, u, values[-1].copy(), grid)
 
 

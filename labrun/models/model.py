@@ -193,8 +193,8 @@ class Model:
     @property
     def places(self) -> tuple[Site, ...]:
         """All sites: those that take a force, inputs that are not prescribed, outputs that are not followed."""
-        inputs = [Site(one.name, "input") for one in self.inputs if not one.prescribed]
-        outputs = [Site(one.name, "output") for one in self.outputs if not one.followed]
+        inputs = [Site(signal.name, "input") for signal in self.inputs if not signal.prescribed]
+        outputs = [Site(output.name, "output") for output in self.outputs if not output.followed]
         return (*self.sites, *inputs, *outputs)
 
     def place(self, name: str, kind: SiteKind | None = None) -> Site:
@@ -229,13 +229,15 @@ class Model:
         measured : name -> unit
             Of inputs and outputs as they were measured, where that is not what the model says.
         """
-        units = {one.name: one.unit for one in self.outputs} | dict(measured)
+        units = {output.name: output.unit for output in self.outputs} | dict(measured)
         named = (units.get(name, "1").removesuffix("/s") for name in (site.coordinate, site.rate))
-        shown = (units[one.name] for one in self.outputs if one.shows == site.coordinate)
-        stiffness = next((one.unit for one in self.parameters if one.name == site.stiffness), "")
-        sprung = [one for one in ("rad", "m") if stiffness.endswith(f"/{one}")]
-        known = (site.unit, *named, *(one for one in shown if one in ("rad", "m")), *sprung)
-        return next((one for one in known if one not in ("", "1")), "rad" if site.kind == "joint" else "m")
+        shown = (units[output.name] for output in self.outputs if output.shows == site.coordinate)
+        stiffness = next(
+            (parameter.unit for parameter in self.parameters if parameter.name == site.stiffness), ""
+        )
+        sprung = [name for name in ("rad", "m") if stiffness.endswith(f"/{name}")]
+        known = (site.unit, *named, *(unit for unit in shown if unit in ("rad", "m")), *sprung)
+        return next((unit for unit in known if unit not in ("", "1")), "rad" if site.kind == "joint" else "m")
 
     @property
     def values(self) -> FloatArray:
@@ -277,25 +279,29 @@ class Model:
 
     def _number(self, name: str, condition: Condition) -> float:
         meaning = self.meanings.get(name, Meaning())
-        said = meaning.of or name
-        value = condition.get(said, meaning.default)
+        quantity = meaning.of or name
+        value = condition.get(quantity, meaning.default)
         if value is None:
-            ours = [*self.states, *(one.name for one in self.inputs), *(one.name for one in self.parameters)]
+            ours = [
+                *self.states,
+                *(signal.name for signal in self.inputs),
+                *(parameter.name for parameter in self.parameters),
+            ]
             raise ModelError(
                 f"the equations of model {self.name} use {name!r}, which is no state, input or parameter, "
-                f"and the trial's condition has no {said!r} (it has: {', '.join(condition) or 'nothing'})",
-                hint=suggest(said, [*ours, *condition]),
+                f"and the trial's condition has no {quantity!r} (it has: {', '.join(condition) or 'nothing'})",
+                hint=suggest(quantity, [*ours, *condition]),
             )
         if isinstance(value, str) and value in meaning.words:
             return meaning.words[value]
         if isinstance(value, str) and meaning.words:
             raise ModelError(
-                f"model {self.name} states no number for {said} = {value!r}",
+                f"model {self.name} states no number for {quantity} = {value!r}",
                 hint=f"{suggest(value, meaning.words)}; conditions.{name}.words states what each word means",
             )
         if isinstance(value, str):
             raise ModelError(
-                f"the equations of model {self.name} use the condition {said!r} as a number; here it is {value!r}",
+                f"the equations of model {self.name} use the condition {quantity!r} as a number; here it is {value!r}",
                 hint="give it a number in the recording, or say in the model what the word means: "
                 f"conditions.{name}.words = {{ {value} = NUMBER }}",
             )
@@ -318,8 +324,8 @@ class Model:
         ModelError
             An effect does not sit where it is put.
         """
-        for one in effects:
-            one.check(self)
+        for effect in effects:
+            effect.check(self)
         return dataclasses.replace(self, effects=(*self.effects, *effects))
 
     def with_initial(self, rules: Mapping[str, float | str]) -> "Model":
@@ -328,7 +334,10 @@ class Model:
 
     def with_between(self, between: Mapping[str, Between]) -> "Model":
         """Return the model with its inputs running between samples as a recording says."""
-        inputs = [dataclasses.replace(one, between=between.get(one.name, one.between)) for one in self.inputs]
+        inputs = [
+            dataclasses.replace(signal, between=between.get(signal.name, signal.between))
+            for signal in self.inputs
+        ]
         return dataclasses.replace(self, inputs=tuple(inputs))
 
     def initial_state(
@@ -360,7 +369,7 @@ class Model:
 
     def told_first(self, row: FloatArray) -> dict[str, float]:
         """Return the first sample of every input by name, as `initial_state` takes it."""
-        return {one.name: float(value) for one, value in zip(self.inputs, row, strict=False)}
+        return {signal.name: float(value) for signal, value in zip(self.inputs, row, strict=False)}
 
     def _start(
         self, state: str, condition: Condition, first: Mapping[str, float], free: Mapping[str, float]
@@ -376,7 +385,7 @@ class Model:
                     hint=f'give initial.{state} a number, a condition\'s name or "free"',
                 )
             return first[state]
-        if isinstance(rule, str) and rule in [one.name for one in self.inputs]:
+        if isinstance(rule, str) and rule in [signal.name for signal in self.inputs]:
             return first.get(rule, 0.0)
         if isinstance(rule, str):
             value = condition.get(rule)

@@ -41,7 +41,7 @@ class ObservedModel(Model):
     def vector(self, parameters: FloatArray | Mapping[str, float] | None, condition: Condition) -> FloatArray:
         """Return `p` as the inner model does; behind it the addresses of its functions, and the gain."""
         given = super().vector(parameters, condition)[: len(self.parameters)]
-        addresses = [float(one.address) for one in (self.inner.derivative, self.inner.output)]
+        addresses = [float(function.address) for function in (self.inner.derivative, self.inner.output)]
         # an address has at most 48 bits, and a float64 holds 53 exactly
         return np.concatenate([self.inner.vector(given, condition), addresses, self.gain.ravel()])
 
@@ -72,11 +72,13 @@ def observed(model: Model, gain: FloatArray, condition: Condition) -> ObservedMo
         "outputs": len(model.outputs),
     }
     made = generated({"derivative": _DERIVATIVE.format(**numbers)}, _IMPORTS)["derivative"]
-    own = {one.name: getattr(model, one.name) for one in fields(Model) if one.init}
-    measured = tuple(Input(measured_name(one.name), one.unit, prescribed=True) for one in model.outputs)
+    own = {attribute.name: getattr(model, attribute.name) for attribute in fields(Model) if attribute.init}
+    measured = tuple(
+        Input(measured_name(output.name), output.unit, prescribed=True) for output in model.outputs
+    )
     own |= {
         "inputs": (*model.inputs, *measured),
-        "outputs": tuple(replace(one, followed=True) for one in model.outputs),
+        "outputs": tuple(replace(output, followed=True) for output in model.outputs),
         "derivative": ThroughAddresses("model", made.provide),
     }
     return ObservedModel(**own, inner=model, gain=np.asarray(gain, dtype=float))

@@ -16,7 +16,7 @@ Expressions = Mapping[KeyPath, Expression]
 
 def inputs_of(tables: Mapping[str, InputTable]) -> tuple[Input, ...]:
     """Return the inputs, in their order."""
-    return tuple(Input(name, one.unit, one.between, one.prescribed) for name, one in tables.items())
+    return tuple(Input(name, table.unit, table.between, table.prescribed) for name, table in tables.items())
 
 
 def parameter_of(name: str, table: Bounded, value: float) -> Parameter:
@@ -49,8 +49,8 @@ def places_of(
     kinds: dict[str, str] = {}
     groups = {
         "state": ("x", list(states)),
-        "input": ("u", [one.name for one in inputs]),
-        "parameter": ("p", [one.name for one in parameters]),
+        "input": ("u", [signal.name for signal in inputs]),
+        "parameter": ("p", [parameter.name for parameter in parameters]),
     }
     for kind, (array, names) in groups.items():
         for index, name in enumerate(names):
@@ -67,7 +67,7 @@ def conditions_of(
 
     Where the file declares its conditions, a name that is none of them is a fault.
     """
-    found: dict[str, None] = {}
+    names: dict[str, None] = {}
     for path, expression in expressions.items():
         for name, position in expression.names.items():
             if name.startswith("force.") or name in known or name == "t":
@@ -75,35 +75,38 @@ def conditions_of(
             if declared is not None and name not in declared:
                 hint = suggest(name, [*known, *declared])
                 file.note_in(path, ExpressionError(expression.text, f"there is no {name!r}", position, hint))
-            found.setdefault(name)
-    return tuple(found)
+            names.setdefault(name)
+    return tuple(names)
 
 
 def meanings_of(tables: Mapping[str, ConditionTable] | None) -> dict[str, Meaning]:
     """Return what conditions mean that trials may say in a word, or not at all."""
-    return {name: Meaning(one.words, one.default, one.of) for name, one in (tables or {}).items()}
+    return {name: Meaning(table.words, table.default, table.of) for name, table in (tables or {}).items()}
 
 
 def refuse_unused(
     file: ModelFile, expressions: Expressions, parameters: Sequence[Parameter], conditions: Sequence[str]
 ) -> None:
     """Refuse parameters that nothing uses: mostly a misspelt name, and never something data could determine."""
-    used = {name for one in expressions.values() for name in one.names}
+    used = {name for expression in expressions.values() for name in expression.names}
     misspelt = f"equations use {', '.join(conditions)}, which is no parameter: misspelt?"
-    for one in parameters:
-        if one.name not in used:
+    for parameter in parameters:
+        if parameter.name not in used:
             hint = misspelt if conditions else "take it out"
-            file.note(("parameters", one.name), f"no equation uses {one.name!r}", hint)
+            file.note(("parameters", parameter.name), f"no equation uses {parameter.name!r}", hint)
     file.refuse()
 
 
 def only_in_loads(expressions: Expressions, parameters: Sequence[Parameter]) -> tuple[str, ...]:
     """Return what to tell about parameters that only loads of sites use: without an effect they change nothing."""
-    moving = {name for path, one in expressions.items() if path[0] != "sites" for name in one.names}
+    moving = {
+        name for path, expression in expressions.items() if path[0] != "sites" for name in expression.names
+    }
     return tuple(
-        f"parameter {one.name!r} is used by the load of a site only: no data tell its value without an effect there"
-        for one in parameters
-        if one.name not in moving
+        f"parameter {parameter.name!r} is used by the load of a site only: no data tell its value "
+        "without an effect there"
+        for parameter in parameters
+        if parameter.name not in moving
     )
 
 
@@ -113,9 +116,9 @@ def read_effects(file: ModelFile, tables: Sequence[EffectTable], model: Model) -
     Raises ModelError: all that does not hold: an unknown effect, site or value; a site that lacks what the effect
     needs; a value that is missing or out of range; each with the line it stands on.
     """
-    found = [_attached(file, ("effects", index), one, model) for index, one in enumerate(tables)]
+    effects = [_attached(file, ("effects", index), table, model) for index, table in enumerate(tables)]
     file.refuse()
-    return tuple(one for one in found if one is not None)
+    return tuple(effect for effect in effects if effect is not None)
 
 
 def _attached(file: ModelFile, path: KeyPath, table: EffectTable, model: Model) -> AttachedEffect | None:
@@ -137,8 +140,8 @@ def _effect(file: ModelFile, path: KeyPath, table: EffectTable, model: Model) ->
     except ModelError as error:
         file.note((*path, "site"), str(error.args[0]), error.hint)
         return None
-    there = [place for place in model.places if place.name == table.site]
-    kinds = dict.fromkeys(place.kind for place in there if table.kind in (None, place.kind))
+    there = [location for location in model.places if location.name == table.site]
+    kinds = dict.fromkeys(location.kind for location in there if table.kind in (None, location.kind))
     fitting: list[Effect] = []
     refusal: ModelError | PluginError | None = None
     for kind in kinds:
@@ -147,7 +150,7 @@ def _effect(file: ModelFile, path: KeyPath, table: EffectTable, model: Model) ->
         except (ModelError, PluginError) as error:  # there is none for that kind, or none at all
             refusal = refusal or error
     if len(fitting) > 1:
-        both = " and ".join(one.kind for one in fitting)
+        both = " and ".join(effect.kind for effect in fitting)
         hint = f'say kind = "{fitting[0].kind}" or kind = "{fitting[1].kind}"'
         file.note(path, f"{table.effect} sits at {both} sites, and both have this name", hint)
     elif fitting:
@@ -158,11 +161,15 @@ def _effect(file: ModelFile, path: KeyPath, table: EffectTable, model: Model) ->
 
 
 def _values_hold(file: ModelFile, path: KeyPath, effect: Effect, table: EffectTable) -> bool:
-    parameters = {one.name: one for one in effect.parameters}
+    parameters = {parameter.name: parameter for parameter in effect.parameters}
     strangers = [name for name in table.values if name not in parameters]
     for name in strangers:
         file.note((*path, name), "unknown key", suggest(name, parameters))
-    missing = [one.name for one in effect.parameters if not (one.held or one.name in table.values)]
+    missing = [
+        parameter.name
+        for parameter in effect.parameters
+        if not (parameter.held or parameter.name in table.values)
+    ]
     for name in () if strangers else missing:
         file.note(path, f"{effect.id} needs a value of {name}", f"it is {effect.form}")
     wanted = {

@@ -86,8 +86,8 @@ def simulate(
     """
     condition = condition or {}
     if initial_state is None:
-        told = inputs.first if isinstance(inputs, Drive) else np.asarray(inputs)[0]
-        initial_state = model.initial_state(condition, first=model.told_first(told))
+        initial = inputs.first if isinstance(inputs, Drive) else np.asarray(inputs)[0]
+        initial_state = model.initial_state(condition, first=model.told_first(initial))
     if not isinstance(inputs, Drive):
         substeps = substeps or suggest_substeps(
             model, time_s, inputs, parameters=parameters, condition=condition, initial_state=initial_state,
@@ -144,9 +144,9 @@ def filtered(model: Model, before: Unfiltered, effects: Sequence[AttachedEffect]
     finite = before.written == len(outputs)
     if chosen and finite:
         outputs = outputs.copy()
-        for ahead, group in groupby(chosen, lambda one: bool(effects[one].effect.ahead)):
+        for ahead, group in groupby(chosen, lambda index: bool(effects[index].effect.ahead)):
             if ahead:
-                read_outputs_ahead(model, outputs, driven.steps_s, [effects[one] for one in group])
+                read_outputs_ahead(model, outputs, driven.steps_s, [effects[index] for index in group])
             else:
                 _filter(model, outputs, driven.steps_s, effects, tuple(group))
         finite = bool(np.isfinite(outputs).all())
@@ -174,7 +174,7 @@ def prepare(model: Model, time_s: FloatArray, inputs: FloatArray, substeps: int 
 
     `substeps` may be a number for each interval between samples: short steps where something turns sharply.
     """
-    return drive(time_s, inputs, [one.between for one in model.inputs], substeps)
+    return drive(time_s, inputs, [signal.between for signal in model.inputs], substeps)
 
 
 def suggest_substeps(
@@ -201,7 +201,7 @@ def suggest_substeps(
         initial_state = model.initial_state(condition, first=model.told_first(inputs[0]))
     start = _checked_state(model, initial_state)
     p = model.vector(parameters, condition)
-    exact_within = np.array([one.exact_within for one in model.outputs])
+    exact_within = np.array([output.exact_within for output in model.outputs])
     coarse: Simulation | None = None
     substeps = 1
     while substeps <= most:
@@ -247,12 +247,12 @@ def _integrated(
     from labrun.models.engine import integrate
 
     effects = (*model.effects, *effects)
-    found = layout(model, effects)
-    laws, own = found.forces, len(model.states)
+    memory = layout(model, effects)
+    laws, own = memory.forces, len(model.states)
     u, u_last, steps_s = driven.u, driven.u_last, driven.steps_s
-    for ahead, group in groupby(found.before, lambda one: bool(effects[one].effect.ahead)):
+    for ahead, group in groupby(memory.before, lambda index: bool(effects[index].effect.ahead)):
         if ahead:
-            u = _read_once(model, driven, u, u_last, [effects[one] for one in group])
+            u = _read_once(model, driven, u, u_last, [effects[index] for index in group])
         else:
             u, u_last = _filter_inputs(model, u, u_last, steps_s, effects, tuple(group))
 
@@ -264,8 +264,8 @@ def _integrated(
     state[:own] = initial_state
     written = integrate(
         float(driven.time_s[0]), steps_s, u, u_last, rows, False, grid.pairs, p,
-        found.derivative, found.output, laws.site_values, laws.coupled, laws.sites, laws.laws,
-        law_values(found, effects), np.zeros(laws.scratch), state, states, outputs,
+        memory.derivative, memory.output, laws.site_values, laws.coupled, laws.sites, laws.laws,
+        law_values(memory, effects), np.zeros(laws.scratch), state, states, outputs,
     )  # fmt: skip
     if written < rows.size:
         states[written:], outputs[written:] = np.nan, np.nan
@@ -297,13 +297,13 @@ def _read_once(
     """Return inputs read ahead; those of a trial itself are kept: a clock that is known reads them the same again."""
     if u is not driven.u:
         return inputs_ahead(model, u, u_last, driven.steps_s, effects)
-    key = tuple((one.site, one.values) for one in effects)
-    found = driven.ahead.get(key)
-    if found is None:
-        found = inputs_ahead(model, u, u_last, driven.steps_s, effects)
+    key = tuple((effect.site, effect.values) for effect in effects)
+    ahead = driven.ahead.get(key)
+    if ahead is None:
+        ahead = inputs_ahead(model, u, u_last, driven.steps_s, effects)
         driven.ahead.clear()
-        driven.ahead[key] = found
-    return found
+        driven.ahead[key] = ahead
+    return ahead
 
 
 def site_course(
@@ -330,13 +330,15 @@ def site_course(
     """
     from labrun.models.engine import evaluate_sites
 
-    found = np.zeros((len(time_s), 4 * len(model.sites)))
+    result = np.zeros((len(time_s), 4 * len(model.sites)))
     if model.sites:
         p = model.vector(parameters, condition or {})
         force = np.zeros(len(model.sites))
-        time_s, states, inputs = (np.ascontiguousarray(one, dtype=float) for one in (time_s, states, inputs))
-        evaluate_sites(model.site_values.address, time_s, states, inputs, p, force, found)
-    return found.reshape(len(time_s), len(model.sites), 4)
+        time_s, states, inputs = (
+            np.ascontiguousarray(array, dtype=float) for array in (time_s, states, inputs)
+        )
+        evaluate_sites(model.site_values.address, time_s, states, inputs, p, force, result)
+    return result.reshape(len(time_s), len(model.sites), 4)
 
 
 class Stepper:

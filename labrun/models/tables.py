@@ -56,7 +56,7 @@ def _each_once(names: tuple[str, ...]) -> tuple[str, ...]:
 
 def listed(value: Any) -> Any:
     """Take a list of names for tables that say nothing more of each."""
-    if isinstance(value, list) and all(isinstance(one, str) for one in value):
+    if isinstance(value, list) and all(isinstance(entry, str) for entry in value):
         return {name: {} for name in _each_once(tuple(value))}
     if not isinstance(value, dict):
         raise ValueError('expected a list of names, ["torque"], or a table for each')

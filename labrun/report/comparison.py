@@ -107,7 +107,7 @@ def _alike(comparison: Comparison) -> list[str]:
 
 
 def _where(comparison: Comparison, point: ComparedPoint) -> str:
-    differing = varying(one.condition for one in comparison.points)
+    differing = varying(other.condition for other in comparison.points)
     condition = condition_text(only(point.condition, differing)) or "the only condition"
     return condition if point.at_s is None else f"{condition}, at {point.at_s:.3g} s"
 
@@ -158,14 +158,14 @@ def _over_channels(comparison: Comparison) -> list[str]:
 
 def _verdict(comparison: Comparison) -> str:
     worst = comparison.worst
-    told = f"worst: {worst.channel} at {_where(comparison, worst)} is off by {_relative(worst)}"
+    text = f"worst: {worst.channel} at {_where(comparison, worst)} is off by {_relative(worst)}"
     if comparison.tolerance is None:
-        return told
+        return text
     beyond = sum(point.relative > comparison.tolerance for point in comparison.points)
     limit = f"the tolerance of {100 * comparison.tolerance:g} %"
     if comparison.within:
-        return f"{told}, within {limit}"
-    return f"{told}, beyond {limit}, as are {beyond} of {len(comparison.points)} points in all"
+        return f"{text}, within {limit}"
+    return f"{text}, beyond {limit}, as are {beyond} of {len(comparison.points)} points in all"
 
 
 def _point_json(point: ComparedPoint) -> dict[str, Any]:
@@ -220,8 +220,8 @@ def _condition_panel(pairs: Sequence[Pair]) -> Panel:
     else:
         places = np.arange(len(pairs), dtype=float)
         shown = apart[:1] or names or list(first.condition)  # of one condition alone, all of it
-        told = (", ".join(value_text(pair.condition[name]) for name in shown) for pair in pairs)
-        ticks = tuple(told) if len(pairs) <= _MOST_TICKS else ()
+        labels = (", ".join(value_text(pair.condition[name]) for name in shown) for pair in pairs)
+        ticks = tuple(labels) if len(pairs) <= _MOST_TICKS else ()
     measured = np.array([float(pair.measured[0]) for pair in pairs])
     predicted = np.array([float(pair.predicted[0]) for pair in pairs])
     named = [along] if along is not None else [] if names else list(first.condition)
@@ -242,11 +242,11 @@ def _condition_panel(pairs: Sequence[Pair]) -> Panel:
 def _apart(pairs: Sequence[Pair], of: Pair) -> str:
     """Return what tells a pair's condition from the others: titles have no room for all of it."""
     names = [name for name in of.condition if len({pair.condition.get(name) for pair in pairs}) > 1]
-    told = [
+    labels = [
         value if isinstance(value := of.condition[name], str) else f"{spaced(name)} {value_text(value)}"
         for name in names
     ]
-    return ", ".join(told) or of.label
+    return ", ".join(labels) or of.label
 
 
 def _overlays(comparison: Comparison) -> list[Stack]:
@@ -295,13 +295,13 @@ def ranking_text(ranking: Ranking) -> str:
         for path, lab in zip(ranking.laboratories, labs, strict=True)
     ]
     rows = [["gait", *measured_in, *(with_unit(head, ranking.unit) for head in heads)]]
-    for place, gait in enumerate(ranking.gaits):
-        row = [f"{gait.get(NUMBER, place + 1):g}"]
+    for index, gait in enumerate(ranking.gaits):
+        row = [f"{gait.get(NUMBER, index + 1):g}"]
         for path in ranking.laboratories:
-            value = ranking.laboratory_values[path][place]
+            value = ranking.laboratory_values[path][index]
             row.append("-" if value is None else f"{value:.4g}")
         for column in ranking.columns:
-            cell = column.cells[place]
+            cell = column.cells[index]
             text = "-" if cell is None else f"{cell.mean:.4g}"
             if cell is not None and cell.ci95 is not None:
                 text += f" ({cell.ci95[0]:.4g} to {cell.ci95[1]:.4g})"
@@ -317,19 +317,19 @@ def ranking_text(ranking: Ranking) -> str:
     return "\n".join(lines)
 
 
-def _agreement_lines(found: Agreement | None, lab: str, head: str) -> list[str]:
+def _agreement_lines(agreement: Agreement | None, lab: str, head: str) -> list[str]:
     what = f"{lab} and {head}"
-    if found is None:
+    if agreement is None:
         return [f"{what}: no order to compare: fewer than three gaits in common, or all alike"]
-    p = "exact p" if found.exact else "p of sampled orders"
-    ties = f", {found.ties} tied pairs" if found.ties else ""
-    tau, rho = found.tau_ci95, found.spearman_ci95
+    p = "exact p" if agreement.exact else "p of sampled orders"
+    ties = f", {agreement.ties} tied pairs" if agreement.ties else ""
+    tau, rho = agreement.tau_ci95, agreement.spearman_ci95
     lines = [
-        f"{what}, {found.count} gaits{ties}:",
-        f"  Kendall tau {found.tau:.2f} ({tau[0]:.2f} to {tau[1]:.2f}), {p} = {found.tau_p:.3g}; "
-        f"Spearman rho {found.spearman:.2f} ({rho[0]:.2f} to {rho[1]:.2f}), {p} = {found.spearman_p:.3g}",
+        f"{what}, {agreement.count} gaits{ties}:",
+        f"  Kendall tau {agreement.tau:.2f} ({tau[0]:.2f} to {tau[1]:.2f}), {p} = {agreement.tau_p:.3g}; "
+        f"Spearman rho {agreement.spearman:.2f} ({rho[0]:.2f} to {rho[1]:.2f}), {p} = {agreement.spearman_p:.3g}",
     ]
-    if not found.carries_over:
+    if not agreement.carries_over:
         lines.append(f"  the laboratory's order does not carry over to {head}: the interval of tau covers 0")
     return lines
 
@@ -337,15 +337,15 @@ def _agreement_lines(found: Agreement | None, lab: str, head: str) -> list[str]:
 def _winner_lines(ranking: Ranking, heads: Sequence[str]) -> list[str]:
     if ranking.winner is None:
         return []
-    place = ranking.winner
+    winner = ranking.winner
     bounds = [
-        (ranking.bound(column, place), head) for column, head in zip(ranking.columns, heads, strict=True)
+        (ranking.bound(column, winner), head) for column, head in zip(ranking.columns, heads, strict=True)
     ]
     sign = 1.0 if ranking.maximise else -1.0
     bound, head = min(((b, h) for b, h in bounds if b is not None), key=lambda item: sign * item[0])
     end, beyond = ("from", "greatest") if ranking.maximise else ("up to", "least")
     why = f"in its worst water ({head}) its interval goes {end} {bound:.4g} {ranking.unit}, the {beyond} of all gaits"
     return [
-        f"take {ranking.name(place)}: {why}",
-        f"          {condition_text(ranking.gaits[place], ranking.gait_units)}",
+        f"take {ranking.name(winner)}: {why}",
+        f"          {condition_text(ranking.gaits[winner], ranking.gait_units)}",
     ]

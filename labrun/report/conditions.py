@@ -120,10 +120,12 @@ def most_promising(view: RunView, results: Sequence[ConditionResult]) -> list[Co
     name, direction = goal
     if view.experiment.over:
         return _by_candidate(view, results)
-    found = {condition_key(r.condition): r for r in results if name in r.points}
-    points = (result.points[name] for result in found.values())
-    order = leading_conditions(((one.condition, one.values, one.truncation) for one in points), direction)
-    ranked = [found[condition_key(condition)] for condition in order]
+    by_condition = {condition_key(r.condition): r for r in results if name in r.points}
+    points = (result.points[name] for result in by_condition.values())
+    order = leading_conditions(
+        ((point.condition, point.values, point.truncation) for point in points), direction
+    )
+    ranked = [by_condition[condition_key(condition)] for condition in order]
     return ranked + [result for result in results if name not in result.points]
 
 
@@ -141,7 +143,7 @@ def candidate_points(view: RunView, *, roles: Sequence[str] = ("measure", "fresh
     groups: dict[_Key, list[Point]] = {}
     for point in view.points(name, roles=roles):
         groups.setdefault(condition_key(_own(experiment, point.condition)), []).append(point)
-    found = []
+    points = []
     for parts in groups.values():
         if len(parts) < settings:
             continue
@@ -151,8 +153,8 @@ def candidate_points(view: RunView, *, roles: Sequence[str] = ("measure", "fresh
         cut = [part.truncation for part in parts]
         truncation = {"worst": max(cut), "sum": sum(cut), "mean": sum(cut) / len(cut)}[experiment.combine]
         own = _own(experiment, parts[0].condition)
-        found.append(Point(own, values, parts[0].trials[: len(values)], truncation=truncation))
-    return found
+        points.append(Point(own, values, parts[0].trials[: len(values)], truncation=truncation))
+    return points
 
 
 def _by_candidate(view: RunView, results: Sequence[ConditionResult]) -> list[ConditionResult]:
@@ -184,11 +186,11 @@ def standard_error(point: Point) -> float | None:
 def in_order(experiment: Experiment, conditions: Iterable[Mapping[str, Value]]) -> list[Mapping[str, Value]]:
     """Return conditions as a closed-loop experiment lists them, those of others by ascending values."""
     listed = [] if experiment.track is None else [condition_key(c) for c in experiment.track.conditions]
-    places = {key: place for place, key in enumerate(listed)}
+    places = {key: index for index, key in enumerate(listed)}
 
     def rank(condition: Mapping[str, Value]) -> tuple[int, list[tuple[int, float, str]]]:
-        place = places.get(condition_key(condition), len(places))
-        return place, [_sortable(value) for value in condition.values()]
+        position = places.get(condition_key(condition), len(places))
+        return position, [_sortable(value) for value in condition.values()]
 
     return sorted(conditions, key=rank)
 
@@ -228,7 +230,7 @@ def _leaders(view: RunView, name: str) -> Mapping[str, Any]:
         ]
         for rank, result in enumerate(leading, start=1)
     ]
-    marked = [place for place, result in enumerate(leading) if result.best]
+    marked = [index for index, result in enumerate(leading) if result.best]
     columns = ["", *_labels(keys, view), _quantity(name, view.unit), "standard error", "n"]
     columns += [_quantity(other, view.unit_of(other)) for other in others]
     columns += [with_unit(over, view.unit)] if over else []
@@ -255,7 +257,7 @@ def _fresh(view: RunView, name: str, direction: str) -> tuple[PageTable, str] | 
         for point in points
     ]
     winner = None if view.best is None else condition_key(view.best.parameters)
-    marked = [place for place, point in enumerate(points) if condition_key(point.condition) == winner]
+    marked = [index for index, point in enumerate(points) if condition_key(point.condition) == winner]
     columns = [*_labels(keys, view), _quantity(name, view.unit), "standard error", "n", "95 % interval"]
     return PageTable(columns, rows, words=(), marked=marked), _separation(points, direction == "maximise")
 
@@ -269,13 +271,13 @@ def _separation(points: Sequence[Point], maximise: bool) -> str:
         return "The fresh repeats of the two first leaders do not scatter at all."
     from scipy.stats import ttest_ind  # slow to import
 
-    found = ttest_ind(first.values, second.values, equal_var=False).confidence_interval(0.95)
-    low, high = float(found.low), float(found.high)
-    interval = f"(95 % interval of the difference {low:.3g} to {high:.3g})"
+    difference = ttest_ind(first.values, second.values, equal_var=False).confidence_interval(0.95)
+    low, high = float(difference.low), float(difference.high)
+    range_text = f"(95 % interval of the difference {low:.3g} to {high:.3g})"
     if (low if maximise else -high) > 0:
-        return f"The first leads the second beyond chance {interval}."
+        return f"The first leads the second beyond chance {range_text}."
     return (
-        f"The first two cannot be told apart by these repeats {interval}: their order may be chance, what the winner "
+        f"The first two cannot be told apart by these repeats {range_text}: their order may be chance, what the winner "
         "reaches is not."
     )
 
@@ -296,8 +298,8 @@ def _every(view: RunView) -> Mapping[str, Any]:
         row = _values(result.condition, keys)
         for name in objectives:
             point = result.points.get(name)
-            told = ["", ""] if point is None else _mean(point, decimals[name])[:2]
-            row += told if repeated[name] else told[:1]
+            cells = ["", ""] if point is None else _mean(point, decimals[name])[:2]
+            row += cells if repeated[name] else cells[:1]
         spoiled = str(len(result.trials) - result.accepted)
         rows.append([*row, str(result.accepted), spoiled, f"{result.recorded_s:.4g}"])
     columns = list(_labels(keys, view))

@@ -66,18 +66,18 @@ class StoredFit:
     @property
     def estimates(self) -> dict[str, Estimate]:
         """Parameters that have a number and an interval."""
-        found = {}
+        estimates = {}
         for name, entry in as_table(self.numbers.get("parameters")).items():
             value: Any = as_table(entry).get("value")
             interval = as_list(as_table(entry).get("ci95"))
             if is_number(value) and len(interval) == 2 and all(is_number(end) for end in interval):
                 unit = str(entry.get("unit", ""))
-                found[str(name)] = Estimate(float(value), (float(interval[0]), float(interval[1])), unit)
-        return found
+                estimates[str(name)] = Estimate(float(value), (float(interval[0]), float(interval[1])), unit)
+        return estimates
 
     def sentences(self, name: str) -> list[str]:
         """Return its ``findings`` or ``warnings``."""
-        return [str(one) for one in as_list(self.numbers.get(name))]
+        return [str(value) for value in as_list(self.numbers.get(name))]
 
 
 def is_number(value: Any) -> bool:
@@ -170,10 +170,10 @@ class Findings(RunView):
     @cached_property
     def trials(self) -> dict[str, dict[str, int]]:
         """Number of trials by role and status: ``{"measure": {"done": 64}}``."""
-        found: dict[str, Counter[str]] = {}
+        counters: dict[str, Counter[str]] = {}
         for outcome in self.run.outcomes:
-            found.setdefault(outcome.role, Counter())[outcome.status] += 1
-        return {role: dict(counts) for role, counts in found.items()}
+            counters.setdefault(outcome.role, Counter())[outcome.status] += 1
+        return {role: dict(counts) for role, counts in counters.items()}
 
     @cached_property
     def accepted(self) -> list[TrialOutcome]:
@@ -188,7 +188,7 @@ class Findings(RunView):
     @cached_property
     def reasons(self) -> dict[str, int]:
         """Reasons of rejected and failed trials, with their number, most frequent first."""
-        return dict(Counter(f"{one.status}: {one.reason}" for one in self.spoiled).most_common())
+        return dict(Counter(f"{outcome.status}: {outcome.reason}" for outcome in self.spoiled).most_common())
 
     @cached_property
     def unsettled(self) -> int:
@@ -273,19 +273,19 @@ class Findings(RunView):
     @cached_property
     def damage(self) -> list[str]:
         """What became of specimens: what broke trial by trial, what was planned in one line."""
-        planned = [one for one in self.run.outcomes if one.damage == PAST]
-        told = [
-            f"trial {one.index}: {one.damage} ({condition_text(one.condition, self.experiment.units)})"
-            for one in self.run.outcomes
-            if one.damage and (one.damage != PAST or len(planned) == 1)
+        planned = [outcome for outcome in self.run.outcomes if outcome.damage == PAST]
+        messages = [
+            f"trial {outcome.index}: {outcome.damage} ({condition_text(outcome.condition, self.experiment.units)})"
+            for outcome in self.run.outcomes
+            if outcome.damage and (outcome.damage != PAST or len(planned) == 1)
         ]
         if len(planned) > 1:
-            numbers = ", ".join(str(one.index) for one in planned[:_MOST_NUMBERS])
+            numbers = ", ".join(str(outcome.index) for outcome in planned[:_MOST_NUMBERS])
             more = f" and {len(planned) - _MOST_NUMBERS} more" if len(planned) > _MOST_NUMBERS else ""
-            told.append(
+            messages.append(
                 f"{len(planned)} trials took their specimens past the limit, as planned: trials {numbers}{more}"
             )
-        return told
+        return messages
 
     @cached_property
     def remarks(self) -> tuple[str, ...]:
@@ -315,13 +315,13 @@ class Findings(RunView):
             "conditions": [result.to_json(self.objective_units) for result in most],
             "conditions_total": len(self.conditions),
             "figure": None if self.figure is None else str(self.figure),
-            "repeatability": [asdict(one) for one in self.repeatability],
-            "drift": [asdict(one) for one in self.drift],
+            "repeatability": [asdict(spread) for spread in self.repeatability],
+            "drift": [asdict(trend) for trend in self.drift],
             "unsettled": self.unsettled,
             "damage": self.damage,
             "remarks": self.remarks,
             "settling": None if self.settling is None else asdict(self.settling),
-            "streams": [asdict(one) for one in self.streams],
+            "streams": [asdict(stream) for stream in self.streams],
             "streams_from_trials": len(self.streams_looked_at),
             "faults": self.run.faults,
             "loop": None if self.loop is None else asdict(self.loop),
@@ -335,7 +335,7 @@ class Findings(RunView):
         for outcome in run.outcomes:
             for name, stream in run.signals(outcome.index).items():
                 rates.setdefault(name, []).append(stream.rate_hz)
-        median_hz = {kind: float(np.median(found)) if found else 0.0 for kind, found in rates.items()}
+        median_hz = {kind: float(np.median(rate)) if rate else 0.0 for kind, rate in rates.items()}
         return {
             "run": str(run.path),
             "experiment": run.name,
@@ -345,8 +345,13 @@ class Findings(RunView):
             "trials": len(run.outcomes),
             "duration_s": sum(outcome.duration_s for outcome in run.outcomes),
             "channels": [
-                {"name": name, "kind": one["kind"], "unit": one["unit"], "rate_hz": median_hz[one["kind"]]}
-                for name, one in self.channels.items()
+                {
+                    "name": name,
+                    "kind": channel["kind"],
+                    "unit": channel["unit"],
+                    "rate_hz": median_hz[channel["kind"]],
+                }
+                for name, channel in self.channels.items()
             ],
             "conditions": [
                 {

@@ -38,7 +38,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
 def diagnosis_context(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return what the template ``gap.html.j2`` tells of."""
     every = ranked(diagnosis.candidates)
-    first = max(_SHOWN, sum(one.verdict in ("cause", "rival") for one in every))
+    first = max(_SHOWN, sum(candidate.verdict in ("cause", "rival") for candidate in every))
     parameters = parameter_table(diagnosis)
     links = [
         ("ladder", "errors"), ("which", "causes"), ("rest", "the rest"), ("where", "where"),
@@ -60,14 +60,14 @@ def diagnosis_context(diagnosis: Diagnosis) -> dict[str, Any]:
         "chosen_traces": _chosen(diagnosis, shown_traces(diagnosis)),
         "has_courses": any(len(trace.time_s) > 1 for trace in shown_traces(diagnosis)),
         "forces": [
-            (one, found)
-            for one in sorted(diagnosis.missing, key=lambda one: -one.share)[:_MOST_FORCES]
-            if (found := _force(one)) is not None
+            (force, result)
+            for force in sorted(diagnosis.missing, key=lambda force: -force.share)[:_MOST_FORCES]
+            if (result := _force(force)) is not None
         ],
         "tally": _tally(every),
-        "candidates": [_candidate(one, rank) for rank, one in enumerate(every[:first], start=1)],
+        "candidates": [_candidate(candidate, rank) for rank, candidate in enumerate(every[:first], start=1)],
         "other_candidates": [
-            _candidate(one, rank) for rank, one in enumerate(every[first:], start=first + 1)
+            _candidate(candidate, rank) for rank, candidate in enumerate(every[first:], start=first + 1)
         ],
         "how_far": drawn(lambda: how_far_figure(diagnosis), "far", _ALT_FAR),
         "ladder": _ladder(diagnosis),
@@ -95,8 +95,13 @@ def _ladder(diagnosis: Diagnosis) -> PageTable:
 
 def _places(diagnosis: Diagnosis) -> PageTable:
     rows = [
-        [place.by, place_words(place), percent(place.share), "" if place.p is None else f"{place.p:.3g}"]
-        for place in diagnosis.where
+        [
+            location.by,
+            place_words(location),
+            percent(location.share),
+            "" if location.p is None else f"{location.p:.3g}",
+        ]
+        for location in diagnosis.where
     ]
     return PageTable(("by", "part", "share of the excess", "p"), rows, words=(0, 1))
 
@@ -113,12 +118,12 @@ def _chosen(diagnosis: Diagnosis, traces: Sequence[ComparedTrace]) -> str:
         return ""
     conditions = len({condition_key(trace.condition) for trace in traces})
     outputs = len(worst_outputs(diagnosis, traces))
-    told = []
+    messages = []
     if conditions < diagnosis.conditions:
-        told.append(f"{conditions} of {diagnosis.conditions} conditions")
+        messages.append(f"{conditions} of {diagnosis.conditions} conditions")
     if outputs < len(diagnosis.channels):
-        told.append(f"{outputs} of {len(diagnosis.channels)} outputs")
-    return listed(told)
+        messages.append(f"{outputs} of {len(diagnosis.channels)} outputs")
+    return listed(messages)
 
 
 def _force(missing: MissingForce) -> PageFigure | None:
@@ -155,14 +160,14 @@ def _candidate(row: RatedCandidate, rank: int) -> Mapping[str, Any]:
 def parameter_table(diagnosis: Diagnosis) -> PageTable:
     """Return the parameters as stated and as recalibrated; without rows of a model without any that may move."""
     rows, marked = [], []
-    for place, (name, (stated, tolerance, found)) in enumerate(diagnosis.recalibration.items()):
-        told, far = _moved(stated, tolerance, found)
+    for index, (name, (stated, tolerance, fitted)) in enumerate(diagnosis.recalibration.items()):
+        text, far = _moved(stated, tolerance, fitted)
         if far:
-            marked.append(place)
+            marked.append(index)
         corrected = number(diagnosis.corrected[name], 4) if name in diagnosis.corrected else ""
         unit = unit_text(diagnosis.parameter_units.get(name, ""))
         rows.append(
-            [spaced(name), number(stated, 4), _tolerance(tolerance), number(found, 4), corrected, unit, told]
+            [spaced(name), number(stated, 4), _tolerance(tolerance), number(fitted, 4), corrected, unit, text]
         )
     columns = ("parameter", "stated", "known to", "recalibrated", "with the causes", "unit", "moved by")
     return PageTable(columns, rows, words=(0, 5, 6), marked=marked)
@@ -174,18 +179,18 @@ def _tolerance(tolerance: float | str) -> str:
     return "exactly" if tolerance == 0 else f"\u00b1 {100 * tolerance:.3g} %"
 
 
-def _moved(stated: float, tolerance: float | str, found: float) -> tuple[str, bool]:
+def _moved(stated: float, tolerance: float | str, fitted: float) -> tuple[str, bool]:
     """Return by how much a parameter moved, and whether that is farther than its tolerance makes likely."""
-    if found == stated:
+    if fitted == stated:
         return "not at all", False
-    if stated == 0 or not math.isfinite(found / stated):
-        return f"by {number(found - stated)}", False
-    factor = found / stated
-    told = f"{number(factor)} times the stated" if not 0.5 <= factor <= 2 else f"{100 * (factor - 1):+.2g} %"
+    if stated == 0 or not math.isfinite(fitted / stated):
+        return f"by {number(fitted - stated)}", False
+    factor = fitted / stated
+    text = f"{number(factor)} times the stated" if not 0.5 <= factor <= 2 else f"{100 * (factor - 1):+.2g} %"
     if isinstance(tolerance, str) or tolerance == 0:
-        return told, False
+        return text, False
     steps = abs(factor - 1) / tolerance
-    return f"{told}, {number(steps, 2)} of its tolerances", steps >= _FAR
+    return f"{text}, {number(steps, 2)} of its tolerances", steps >= _FAR
 
 
 def _noise(diagnosis: Diagnosis) -> PageTable:

@@ -164,26 +164,32 @@ def _cut(line: str, room: int) -> str:
     return f"{words.rstrip(f'{_CUT},;')}{_CUT}"
 
 
-def fresh_text(found: FreshTest) -> str:
+def fresh_text(test: FreshTest) -> str:
     """Return one line per output and horizon: the model, the one it came from, and by how much the error changed."""
-    lines = [f"{found.model} on {found.data}: {counted(found.trials, 'trial')}"]
-    if found.warm_up_samples:
+    lines = [f"{test.model} on {test.data}: {counted(test.trials, 'trial')}"]
+    if test.warm_up_samples:
         lines.append(
-            f"root mean square error; states fitted to the {found.warm_up_samples} samples before each prediction, "
+            f"root mean square error; states fitted to the {test.warm_up_samples} samples before each prediction, "
             "nothing else fitted"
         )
-    rows = [_row(one) for one in found.predictions]
-    head = ["output", "ahead", found.model if found.before != found.model else "corrected"]
-    if found.before:
-        head += [found.before if found.before != found.model else "as it was", "change"]
+    rows = [_row(prediction) for prediction in test.predictions]
+    head = ["output", "ahead", test.model if test.before != test.model else "corrected"]
+    if test.before:
+        head += [test.before if test.before != test.model else "as it was", "change"]
     lines += aligned([head, *[row[: len(head)] for row in rows]])
-    return "\n".join([*lines, *(f"note: {one}" for one in found.notes)])
+    return "\n".join([*lines, *(f"note: {note}" for note in test.notes)])
 
 
-def _row(one: Prediction) -> list[str]:
-    ahead = "whole trial" if one.horizon_s is None else f"{one.horizon_s:g} s"
-    before = "" if one.before is None else estimate_words(one.before, like=one.error)
-    return [spaced(one.output), ahead, estimate_words(one.error), before, _change(one.ratio)]
+def _row(prediction: Prediction) -> list[str]:
+    ahead = "whole trial" if prediction.horizon_s is None else f"{prediction.horizon_s:g} s"
+    before = "" if prediction.before is None else estimate_words(prediction.before, like=prediction.error)
+    return [
+        spaced(prediction.output),
+        ahead,
+        estimate_words(prediction.error),
+        before,
+        _change(prediction.ratio),
+    ]
 
 
 def _change(ratio: ResampledNumber | None) -> str:
@@ -210,105 +216,117 @@ _HEADINGS = {
 }
 
 
-def units_text(found: UnitComparison) -> str:
+def units_text(comparison: UnitComparison) -> str:
     """Return the verdict as a sentence, then a line for every parameter and size."""
-    differing = found.differing
-    lines = [_sentence(found)]
+    differing = comparison.differing
+    lines = [_sentence(comparison)]
     rows = [
         [
-            "" if place and found.differences[place - 1].verdict == one.verdict else _HEADINGS[one.verdict],
-            _words(one),
-            number(one.first, 4),
-            number(one.second, 4) if one.verdict == "differs" else "",
+            ""
+            if index and comparison.differences[index - 1].verdict == difference.verdict
+            else _HEADINGS[difference.verdict],
+            _words(difference),
+            number(difference.first, 4),
+            number(difference.second, 4) if difference.verdict == "differs" else "",
             *(
                 ("not told by these data", "")
-                if _untold(one)
-                else (estimate_words(one.change, prefix=False), _relative(one))
+                if _untold(difference)
+                else (estimate_words(difference.change, prefix=False), _relative(difference))
             ),
         ]
-        for place, one in enumerate(found.differences)
+        for index, difference in enumerate(comparison.differences)
     ]
     if rows:
         lines += aligned([["", "", "first", "second", "change [95 %]", "of the first"], *rows])
     lines += [
-        f"note: {_words(one)}: {listed(one.or_else, 'or')} would explain as much"
-        for one in differing
-        if one.or_else
+        f"note: {_words(difference)}: {listed(difference.or_else, 'or')} would explain as much"
+        for difference in differing
+        if difference.or_else
     ]
-    doubtful = [one for one in found.differences if one.verdict == "open" and not _untold(one)]
-    if any(not one.change.low <= 0.0 <= one.change.high for one in doubtful):
+    doubtful = [
+        difference
+        for difference in comparison.differences
+        if difference.verdict == "open" and not _untold(difference)
+    ]
+    if any(not difference.change.low <= 0.0 <= difference.change.high for difference in doubtful):
         lines.append(
             "note: an interval without zero is not enough: a difference also has to improve predictions of conditions "
             "that the fit has not seen"
         )
-    return "\n".join([*lines, *(f"note: {one}" for one in found.notes)])
+    return "\n".join([*lines, *(f"note: {note}" for note in comparison.notes)])
 
 
-def _untold(one: UnitDifference) -> bool:
+def _untold(difference: UnitDifference) -> bool:
     """Tell whether the data leave a change open by far more than there is to change."""
-    return max(abs(one.change.low), abs(one.change.high)) > _FAR_OPEN * max(abs(one.first), abs(one.second))
+    return max(abs(difference.change.low), abs(difference.change.high)) > _FAR_OPEN * max(
+        abs(difference.first), abs(difference.second)
+    )
 
 
-def _sentence(found: UnitComparison) -> str:
-    if not found.differing:
-        return f"No parameter or effect differs beyond noise between {found.first} and {found.second}."
-    named = listed(list(dict.fromkeys(one.name.words for one in found.differing)))
-    verb = "differs" if len({one.name for one in found.differing}) == 1 else "differ"
+def _sentence(comparison: UnitComparison) -> str:
+    if not comparison.differing:
+        return (
+            f"No parameter or effect differs beyond noise between {comparison.first} and {comparison.second}."
+        )
+    named = listed(list(dict.fromkeys(difference.name.words for difference in comparison.differing)))
+    verb = "differs" if len({difference.name for difference in comparison.differing}) == 1 else "differ"
     share = (
         ""
-        if found.share is None
-        else f"; that is {percent(found.share)} of what differing parameters could explain"
+        if comparison.share is None
+        else f"; that is {percent(comparison.share)} of what differing parameters could explain"
     )
-    return f"Between {found.first} and {found.second}, {named} {verb}{share}."
+    return f"Between {comparison.first} and {comparison.second}, {named} {verb}{share}."
 
 
-def _words(one: UnitDifference) -> str:
+def _words(difference: UnitDifference) -> str:
     return (
-        spaced(one.parameter)
-        if one.name.kind == "parameter"
-        else f"{spaced(one.parameter)} of {one.name.words}"
+        spaced(difference.parameter)
+        if difference.name.kind == "parameter"
+        else f"{spaced(difference.parameter)} of {difference.name.words}"
     )
 
 
-def _relative(one: UnitDifference) -> str:
+def _relative(difference: UnitDifference) -> str:
     """Return the interval of the change in per cent, of what there is in the first unit to change."""
-    if one.first == 0.0:
+    if difference.first == 0.0:
         return ""
-    ends: ResampledNumber = one.change
-    low, high = sorted((ends.low / one.first, ends.high / one.first))
+    ends: ResampledNumber = difference.change
+    low, high = sorted((ends.low / difference.first, ends.high / difference.first))
     return f"{percent(low)} to {percent(high)}"
 
 
-def trial_plan_text(found: TrialPlan) -> str:
+def trial_plan_text(plan: TrialPlan) -> str:
     """Return the trials, then a line for every effect."""
-    seen = [one for one in found.visible if one.size is not None]
+    seen = [effect for effect in plan.visible if effect.size is not None]
     lines = [
-        f"{counted(len(found.trials), 'trial')}, {counted(found.repeats, 'repeat')} of each, about "
-        f"{duration_text(found.time_s)} of rig time, of {counted(found.looked_at, 'trial')} inside the limits: "
-        f"{len(seen)} of {counted(len(found.visible), 'effect')} would be visible"
+        f"{counted(len(plan.trials), 'trial')}, {counted(plan.repeats, 'repeat')} of each, about "
+        f"{duration_text(plan.time_s)} of rig time, of {counted(plan.looked_at, 'trial')} inside the limits: "
+        f"{len(seen)} of {counted(len(plan.visible), 'effect')} would be visible"
     ]
     lines += [
-        f"trial {place}  {condition_text(one.condition)}" for place, one in enumerate(found.trials, start=1)
+        f"trial {index}  {condition_text(trial.condition)}"
+        for index, trial in enumerate(plan.trials, start=1)
     ]
     noise = ", ".join(
-        f"{spaced(name)} {number(one.value)} {unit_text(one.unit)}".rstrip()
-        for name, one in found.noise.items()
+        f"{spaced(name)} {number(sd.value)} {unit_text(sd.unit)}".rstrip() for name, sd in plan.noise.items()
     )
     lines.append(f"noise    {noise} (standard deviation of one trial)")
     rows = [["visible from", "", "best in", "but looks like"]]
-    for one in seen:
-        size = one.size
+    for effect in seen:
+        size = effect.size
         if size is not None:
-            words = f"{spaced(one.parameter)} {number(size.value)} {unit_text(size.unit)}".rstrip()
-            alike = [name.words for name in one.alike]
-            rows.append([one.name.words, words, f"trial {one.best + 1}", listed(alike, "or")])
+            words = f"{spaced(effect.parameter)} {number(size.value)} {unit_text(size.unit)}".rstrip()
+            alike = [name.words for name in effect.alike]
+            rows.append([effect.name.words, words, f"trial {effect.best + 1}", listed(alike, "or")])
     lines += aligned(rows) if seen else []
-    hidden = [one for one in found.visible if one.size is None]
+    hidden = [effect for effect in plan.visible if effect.size is None]
     if hidden:
-        lines += aligned([["not visible in any of them", ""], *[[one.name.words, one.why] for one in hidden]])
-    lines += [f"note: {one}" for one in found.notes]
-    if found.file is not None:
-        lines += [f"wrote    {found.file}", f"next     labrun run {found.file}"]
+        lines += aligned(
+            [["not visible in any of them", ""], *[[effect.name.words, effect.why] for effect in hidden]]
+        )
+    lines += [f"note: {note}" for note in plan.notes]
+    if plan.file is not None:
+        lines += [f"wrote    {plan.file}", f"next     labrun run {plan.file}"]
     return "\n".join(lines)
 
 
@@ -318,7 +336,7 @@ def compared_text(compared: Compared) -> str:
     before = seal.opened_before
     lines = [
         f"said      {_said(compared.stored)}",
-        *(f"hidden    {one}" for one in seal.hidden or ("nothing",)),
+        *(f"hidden    {name}" for name in seal.hidden or ("nothing",)),
         f"score     {compared.score}",
         *(f"sizes     {text}" for text in compared.sizes),
         f"sealed    {seal.sealed_at}, sha256 {seal.sha256[:16]}, unbroken",
@@ -336,7 +354,9 @@ def _said(stored: Mapping[str, Any]) -> str:
 
 def _cause(cause: Mapping[str, Any]) -> str:
     name = str(Name(cause["effect"], cause["site"], cause["kind"]))
-    others = [str(Name(one["effect"], one["site"], one["kind"])) for one in cause["indistinguishable_from"]]
+    others = [
+        str(Name(other["effect"], other["site"], other["kind"])) for other in cause["indistinguishable_from"]
+    ]
     if others:
         name += f" (or {listed(others, 'or')})"
     values = ", ".join(_value(key, value) for key, value in cause["values"].items())

@@ -87,16 +87,16 @@ def panels(where: Sequence[Place], most: int | None = None) -> list[PlacesPanel]
     A single channel is no division.
     """
     groups: dict[By, list[Place]] = {}
-    for place in where:
-        if math.isfinite(place.share):
-            groups.setdefault(place.by, []).append(place)
-    found = []
+    for location in where:
+        if math.isfinite(location.share):
+            groups.setdefault(location.by, []).append(location)
+    shown = []
     for by, places in groups.items():
         if by == "channel" and len(places) < 2:
             continue
-        kept = sorted(places[:_MOST_BARS], key=lambda place: -place.share)
-        found.append(PlacesPanel(by, tuple(kept), len(places) - len(kept)))
-    return found[:most]
+        kept = sorted(places[:_MOST_BARS], key=lambda location: -location.share)
+        shown.append(PlacesPanel(by, tuple(kept), len(places) - len(kept)))
+    return shown[:most]
 
 
 def hot_spots(where: Sequence[Place]) -> list[HotSpot]:
@@ -104,57 +104,64 @@ def hot_spots(where: Sequence[Place]) -> list[HotSpot]:
 
     Before them comes a part that is narrower still (the recovery stroke at 0.4 Hz) if it holds most of the excess.
     """
-    found = []
+    spots = []
     for panel in panels(where):
-        whole = [place for place in where if place.by == panel.by and _CUT_TWICE not in place.at]
-        first = next((place for place in whole if math.isfinite(place.share)), None)
+        whole = [location for location in where if location.by == panel.by and _CUT_TWICE not in location.at]
+        first = next((location for location in whole if math.isfinite(location.share)), None)
         if first is None or not beyond_chance(first) or not _tells(first):
             continue
-        mean = sum(place.share for place in whole) / len(whole)
+        mean = sum(location.share for location in whole) / len(whole)
         if len(whole) > 1 and not first.share >= _STANDS_OUT * mean:
             continue
-        found.append(_spot(first))
-    return [*_narrow(where), *found][:_MOST_SPOTS]
+        spots.append(_spot(first))
+    return [*_narrow(where), *spots][:_MOST_SPOTS]
 
 
-def beyond_chance(place: Place) -> bool:
+def beyond_chance(location: Place) -> bool:
     """Tell whether noise alone hardly gives a part as much; True where that cannot be told."""
-    return place.p is None or place.p <= SIGNIFICANT
+    return location.p is None or location.p <= SIGNIFICANT
 
 
-def _tells(place: Place) -> bool:
-    return place.part is None or place.share >= _TELLS * place.part
+def _tells(location: Place) -> bool:
+    return location.part is None or location.share >= _TELLS * location.part
 
 
-def _spot(place: Place) -> HotSpot:
+def _spot(location: Place) -> HotSpot:
     # a part can hold more than all of the excess where others are below the noise; in words that is all of it
-    return HotSpot(place.by, located(place), min(place.share, 1.0), place.p)
+    return HotSpot(location.by, located(location), min(location.share, 1.0), location.p)
 
 
 def _narrow(where: Sequence[Place]) -> list[HotSpot]:
     """Return the part cut in two ways that holds most of the excess all the same, if there is one."""
     held = [
-        place
-        for place in where
-        if _CUT_TWICE in place.at and place.share >= _MOST and beyond_chance(place) and _tells(place)
+        location
+        for location in where
+        if _CUT_TWICE in location.at
+        and location.share >= _MOST
+        and beyond_chance(location)
+        and _tells(location)
     ]
-    first = max(held, key=lambda place: place.share, default=None)
+    first = max(held, key=lambda location: location.share, default=None)
     return [] if first is None else [_spot(first)]
 
 
-def place_words(place: Place) -> str:
+def place_words(location: Place) -> str:
     """Return a place as a person says it."""
-    return place.text or place.at
+    return location.text or location.at
 
 
-def located(place: Place) -> str:
+def located(location: Place) -> str:
     """Return ``at release = 10 deg``, ``in the recovery stroke``; what says it already stays as it is."""
-    text = place_words(place)
+    text = place_words(location)
     first = text.partition(" ")[0]
     if first in _LOCATING:
         return text
     # "the torque at 0.3 Hz" is a part of a channel under a condition
-    return f"in {text}" if first == "the" and place.by != "frequency" else f"{_PREPOSITIONS[place.by]} {text}"
+    return (
+        f"in {text}"
+        if first == "the" and location.by != "frequency"
+        else f"{_PREPOSITIONS[location.by]} {text}"
+    )
 
 
 def ranked(candidates: Sequence[RatedCandidate]) -> list[RatedCandidate]:
@@ -264,18 +271,18 @@ def bound_words(bounds: Mapping[str, ResampledNumber]) -> list[str]:
 
     A least level, whose value is its near end, says ``level at least 0.8 N m``.
     """
-    found = []
+    words = []
     for name, bound in bounds.items():
         factor, unit = _prefixed(bound)
         value, low, high = (factor * end for end in (bound.value, bound.low, bound.high))
         if value == low < high or not (low < 0 < high != -low or math.isfinite(high)):
-            told = f"at least {number(low, 2)}"
+            text = f"at least {number(low, 2)}"
         elif low < 0 < high != -low:
-            told = f"between {number(low, 2)} and {number(high, 2)}"
+            text = f"between {number(low, 2)} and {number(high, 2)}"
         else:
-            told = f"at most {number(max(value, high), 2)}"
-        found.append(f"{spaced(name)} {told}{unit}")
-    return found
+            text = f"at most {number(max(value, high), 2)}"
+        words.append(f"{spaced(name)} {text}{unit}")
+    return words
 
 
 def _prefixed(estimate: ResampledNumber) -> tuple[float, str]:

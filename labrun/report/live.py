@@ -393,8 +393,8 @@ def _remark(trial: TrialOutcome) -> Text:
     role = "" if trial.role == "measure" else trial.role
     if trial.status == "done":
         return Text(role, style="dim")
-    said = f"{trial.status}: {trial.reason}" if trial.reason else trial.status
-    return Text(f"{role} {said}".strip(), style=_SPOILED[trial.status])
+    text = f"{trial.status}: {trial.reason}" if trial.reason else trial.status
+    return Text(f"{role} {text}".strip(), style=_SPOILED[trial.status])
 
 
 def _plot(trace: Trace, console: Console) -> list[RenderableType]:

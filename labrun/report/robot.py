@@ -26,40 +26,40 @@ _OF_THE_WHOLE: Mapping[str, Mapping[str, str]] = {
 
 def cause_words(cause: Cause) -> str:
     """Return what a cause is called where its joint is known, with what it cannot be told from."""
-    told = cause.name.words.partition(" at ")[0]
+    text = cause.name.words.partition(" at ")[0]
     if cause.name.site.endswith("_command"):
-        told += " of the command"
+        text += " of the command"
     same = [name.words for name in cause.indistinguishable_from]
-    return told + (f" (or {listed(same, 'or')})" if same else "")
+    return text + (f" (or {listed(same, 'or')})" if same else "")
 
 
-def moved_words(one: JointDiagnosis) -> str:
+def moved_words(diagnosis: JointDiagnosis) -> str:
     """Return which parameters of a joint are far from what is stated, and that they explain it; "" if none is."""
-    return ", ".join(f"{name} {100 * (by - 1):+.2g} %" for name, by in one.moved.items())
+    return ", ".join(f"{name} {100 * (by - 1):+.2g} %" for name, by in diagnosis.moved.items())
 
 
 def sizes_of(cause: Cause) -> str:
     """Return the sizes of what was found at a joint, with their intervals and units."""
     units = _OF_THE_WHOLE.get(cause.name.effect, {})
-    values = {name: replace(one, unit=units.get(name, one.unit)) for name, one in cause.values.items()}
+    values = {name: replace(value, unit=units.get(name, value.unit)) for name, value in cause.values.items()}
     return "; ".join(value_words(values))
 
 
-def size_lines(found: RobotDiagnosis) -> list[str]:
+def size_lines(diagnosis: RobotDiagnosis) -> list[str]:
     """Return a line of sizes for each cause at each joint, and one for what the robot as a whole has."""
     lines = []
-    for one in found.joints:
-        for cause in one.diagnosis.causes:
+    for joint in diagnosis.joints:
+        for cause in joint.diagnosis.causes:
             whole = cause.name.effect in _OF_THE_WHOLE
-            told = f"{cause_words(cause)}, told by {one.joint.name}" if whole else cause.name.words
-            lines.append(f"{told}: {sizes_of(cause)}")
-    return [*lines, *whole_lines(found)]
+            text = f"{cause_words(cause)}, told by {joint.joint.name}" if whole else cause.name.words
+            lines.append(f"{text}: {sizes_of(cause)}")
+    return [*lines, *whole_lines(diagnosis)]
 
 
-def whole_lines(found: RobotDiagnosis) -> list[str]:
+def whole_lines(diagnosis: RobotDiagnosis) -> list[str]:
     """Return a line of sizes for a tilt and a load, as the whole robot has them."""
     lines = []
-    for effect, _, values in found.whole:
+    for effect, _, values in diagnosis.whole:
         if units := _OF_THE_WHOLE.get(effect):
             sizes = ", ".join(f"{name} {number(value, 3)} {units[name]}" for name, value in values.items())
             where = ", in the frame of the last body" if "x" in values else ""
@@ -67,30 +67,32 @@ def whole_lines(found: RobotDiagnosis) -> list[str]:
     return lines
 
 
-def joint_rows(found: RobotDiagnosis) -> list[list[str]]:
+def joint_rows(robot: RobotDiagnosis) -> list[list[str]]:
     """Return joint, cause, confidence, gap recalibrated and with causes, and errors in the whole robot, as texts."""
     rows = []
-    for one in found.joints:
-        diagnosis, gap = one.diagnosis, one.diagnosis.gap
-        alone = moved_words(one) or _ALONE.get(diagnosis.verdict, HEADLINES[diagnosis.verdict])
+    for joint in robot.joints:
+        diagnosis, gap = joint.diagnosis, joint.diagnosis.gap
+        alone = moved_words(joint) or _ALONE.get(diagnosis.verdict, HEADLINES[diagnosis.verdict])
         causes = " + ".join(cause_words(cause) for cause in diagnosis.causes) or alone
         sure = ", ".join(percent(cause.confidence) for cause in diagnosis.causes)
-        unit = one.error_unit or one.joint.unit
-        errors = [f"{number(value, 2)} {unit}" for value in (one.stated, one.recalibrated, one.corrected)]
+        unit = joint.error_unit or joint.joint.unit
+        errors = [
+            f"{number(value, 2)} {unit}" for value in (joint.stated, joint.recalibrated, joint.corrected)
+        ]
         after = times_noise(gap.after) if diagnosis.causes else ""
-        rows.append([one.joint.name, causes, sure, times_noise(gap.recalibrated), after, *errors])
+        rows.append([joint.joint.name, causes, sure, times_noise(gap.recalibrated), after, *errors])
     return rows
 
 
-def robot_lines(found: RobotDiagnosis, files: Mapping[str, Path] | None = None) -> list[str]:
+def robot_lines(diagnosis: RobotDiagnosis, files: Mapping[str, Path] | None = None) -> list[str]:
     """Return the verdict, a line a joint, the sizes of what was found, and what was written."""
     heads = ["joint", "cause", "sure", "gap", "with cause", "stated", "recalibrated", "corrected"]
-    lines = [found.sentence, "", *aligned([heads, *joint_rows(found)])]
-    sizes = size_lines(found)
+    lines = [diagnosis.sentence, "", *aligned([heads, *joint_rows(diagnosis)])]
+    sizes = size_lines(diagnosis)
     lines += ["", *sizes] if sizes else []
-    lines += found.remarks
-    joints = "joint" if len(found.joints) == 1 else "joints"
-    lines.append(f"{len(found.joints)} {joints} in {short_time_text(found.seconds)}")
+    lines += diagnosis.remarks
+    joints = "joint" if len(diagnosis.joints) == 1 else "joints"
+    lines.append(f"{len(diagnosis.joints)} {joints} in {short_time_text(diagnosis.seconds)}")
     return [*lines, *(f"{label}  {path}" for label, path in (files or {}).items())]
 
 
@@ -167,20 +169,20 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def robot_page(found: RobotDiagnosis, check: FileCheck | None = None) -> str:
+def robot_page(diagnosis: RobotDiagnosis, check: FileCheck | None = None) -> str:
     """Return the page; the same diagnosis gives the same text, byte for byte."""
-    rows = joint_rows(found)
-    marked = [place for place, one in enumerate(found.joints) if one.diagnosis.causes or one.moved]
-    sections = [_section(one) for one in found.joints]
+    rows = joint_rows(diagnosis)
+    marked = [index for index, joint in enumerate(diagnosis.joints) if joint.diagnosis.causes or joint.moved]
+    sections = [_section(joint) for joint in diagnosis.joints]
     return render(
         "robot.html.j2",
         {
-            "title": f"{found.name}, joint by joint",
-            "r": found,
-            "whole": whole_lines(found),
-            "links": [(one["anchor"], one["joint"]) for one in sections],
+            "title": f"{diagnosis.name}, joint by joint",
+            "r": diagnosis,
+            "whole": whole_lines(diagnosis),
+            "links": [(limits["anchor"], limits["joint"]) for limits in sections],
             "picture": drawn(
-                lambda: robot_figure(found), "robot", "Every joint's gap before and after its causes"
+                lambda: robot_figure(diagnosis), "robot", "Every joint's gap before and after its causes"
             ),
             "joints": PageTable(_COLUMNS, rows, words=(0, 1), marked=marked),
             "sections": sections,
@@ -189,8 +191,8 @@ def robot_page(found: RobotDiagnosis, check: FileCheck | None = None) -> str:
     )
 
 
-def _section(one: JointDiagnosis) -> Mapping[str, Any]:
-    diagnosis = one.diagnosis
+def _section(joint: JointDiagnosis) -> Mapping[str, Any]:
+    diagnosis = joint.diagnosis
     lines = [f"{cause_words(cause)}: {sizes_of(cause)}" for cause in diagnosis.causes]
     for cause in diagnosis.causes:
         rivals = listed([name.words for name in cause.indistinguishable_from], "or")
@@ -203,12 +205,12 @@ def _section(one: JointDiagnosis) -> Mapping[str, Any]:
         for other in ranked(diagnosis.candidates)[:_SHOWN]
     ]  # fmt: skip
     return {
-        "anchor": f"joint-{one.joint.output}",
-        "joint": one.joint.name,
+        "anchor": f"joint-{joint.joint.output}",
+        "joint": joint.joint.name,
         "d": diagnosis,
         "lines": lines,
         "traces": drawn(
-            lambda: traces_figure(diagnosis), f"traces-{one.joint.output}", "Measured and simulated"
+            lambda: traces_figure(diagnosis), f"traces-{joint.joint.output}", "Measured and simulated"
         ),
         "candidates": PageTable(("candidate", "status", "closes alone", "size"), candidates, words=(0, 1, 3)),
         "parameters": parameter_table(diagnosis),
@@ -219,22 +221,23 @@ _WIDTH_IN, _JOINT_IN, _AROUND_IN = 9.4, 0.42, 1.6
 _AS_STATED = "#c3c7cd"
 
 
-def robot_figure(found: RobotDiagnosis) -> Figure:
+def robot_figure(diagnosis: RobotDiagnosis) -> Figure:
     """Draw a row a joint: the gap as recalibrated and with the causes, in units of the noise, on a log scale."""
-    count = len(found.joints)
+    count = len(diagnosis.joints)
     with new_figure(_WIDTH_IN, _AROUND_IN + _JOINT_IN * count) as figure:
-        heading(figure, f"{found.name}: joint by joint", found.sentence)
+        heading(figure, f"{diagnosis.name}: joint by joint", diagnosis.sentence)
         axes = figure.subplots()
-        for row, one in enumerate(found.joints):
-            gap = one.diagnosis.gap
+        for row, joint in enumerate(diagnosis.joints):
+            gap = joint.diagnosis.gap
             before, after = max(gap.recalibrated, 0.05), max(gap.after, 0.05)
             axes.plot([max(gap.raw, 0.05), before], [row, row], color=_AS_STATED, lw=2, zorder=1)
-            if one.diagnosis.causes:
+            if joint.diagnosis.causes:
                 axes.plot([before, after], [row, row], color=COLOURS[0], lw=5, alpha=0.35, zorder=2)
                 axes.plot(after, row, "o", color=COLOURS[0], zorder=3)
-                causes = one.diagnosis.causes
+                causes = joint.diagnosis.causes
                 named = ", ".join(
-                    f"{one.name.words.partition(' at ')[0]} ({percent(one.confidence)})" for one in causes
+                    f"{cause.name.words.partition(' at ')[0]} ({percent(cause.confidence)})"
+                    for cause in causes
                 )
                 axes.annotate(
                     named,
@@ -250,7 +253,7 @@ def robot_figure(found: RobotDiagnosis) -> Figure:
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         low, high = axes.get_xlim()
         axes.set_xlim(low, high * 12)
-        axes.set_yticks(range(count), [one.joint.name for one in found.joints])
+        axes.set_yticks(range(count), [joint.joint.name for joint in diagnosis.joints])
         axes.invert_yaxis()
         axes.set_xlabel("gap in units of one trial's noise: open, recalibrated; filled, with the cause")
     return figure

@@ -146,7 +146,7 @@ def _design(findings: Findings) -> Mapping[str, Any] | None:
 
 
 def _places(rows: Sequence[Sequence[str]], word: str) -> list[int]:
-    return [place for place, row in enumerate(rows) if row[0] == word]
+    return [index for index, row in enumerate(rows) if row[0] == word]
 
 
 def _search(findings: Findings) -> Mapping[str, Any] | None:
@@ -176,23 +176,23 @@ def _search(findings: Findings) -> Mapping[str, Any] | None:
 
 
 def _repeatability(findings: Findings) -> Mapping[str, Any] | None:
-    found = findings.repeatability
-    if not found:
+    spreads = findings.repeatability
+    if not spreads:
         return {"table": None} if findings.experiment.objectives and findings.accepted else None
-    main = next((item for item in found if item.objective == findings.objective), found[0])
+    main = next((item for item in spreads if item.objective == findings.objective), spreads[0])
     rows = [
         [
             spaced(item.objective),
-            *("" if sd is None else scatter_text(sd, item.unit) for sd in standard_deviations(item, found)),
+            *("" if sd is None else scatter_text(sd, item.unit) for sd in standard_deviations(item, spreads)),
             str(item.degrees_of_freedom),
         ]
-        for item in found
+        for item in spreads
     ]
     alt = f"Standard deviation of repeated trials against the mean of {main.objective}, one dot a condition"
     return {
         "told": what_it_resolves(findings, main),
         "figure": drawn(lambda: draw_repeatability(findings, main), "repeatability", alt),
-        "table": PageTable(("objective", *repeatability_columns(found), "degrees of freedom"), rows),
+        "table": PageTable(("objective", *repeatability_columns(spreads), "degrees of freedom"), rows),
     }
 
 
@@ -213,14 +213,14 @@ def _drift(findings: Findings) -> Mapping[str, Any] | None:
 
 
 def _settling(findings: Findings) -> Mapping[str, Any] | None:
-    found = findings.settling
-    if found is None:
+    settling = findings.settling
+    if settling is None:
         return None
     watched = {outcome.settle.channel for outcome in findings.run.outcomes if outcome.settle is not None}
     alt = "Distribution of settle times by reason, and settle times in the order of the trials"
     return {
-        "told": f"{why_it_went_on(found)} Half of the waits took {found.median_s:.3g} s or less, the longest "
-        f"{short_time_text(found.longest_s)}.",
+        "told": f"{why_it_went_on(settling)} Half of the waits took {settling.median_s:.3g} s or less, the longest "
+        f"{short_time_text(settling.longest_s)}.",
         "watched": ", ".join(sorted(channel for channel in watched if channel)),
         "figure": drawn(lambda: draw_settling(findings.run.outcomes), "settling", alt),
     }
@@ -317,7 +317,7 @@ def _streams(findings: Findings) -> PageTable | None:
     columns = (
         "device", "nominal (Hz)", "actual (Hz)", "jitter, sd (ms)", *clock, "samples", "lost", "saturated",
     )  # fmt: skip
-    marked = [place for place, item in enumerate(findings.streams) if item.saturated]
+    marked = [index for index, item in enumerate(findings.streams) if item.saturated]
     return PageTable(columns, rows, marked=marked)
 
 
@@ -377,7 +377,7 @@ def _estimate(entry: Any, known: Estimate | None) -> tuple[str, str, str]:
 def _fit_table(entry: Any) -> PageTable | None:
     """Return a table that a method has stored as it prints it; rows that are not whole are left out."""
     known = as_table(entry)
-    header = tuple(str(one) for one in as_list(known.get("header")))
+    header = tuple(str(value) for value in as_list(known.get("header")))
     rows = [[str(cell) for cell in row] for row in as_list(known.get("rows")) if isinstance(row, list)]
     whole = [row for row in rows if len(row) == len(header)]
     return PageTable(header, whole, caption=str(known.get("title", ""))) if header and whole else None
@@ -456,9 +456,9 @@ def _told(event: Mapping[str, Any]) -> str:
     if event["event"] == "resumed":
         changed = event.get("changed")
         return f"with a changed experiment file: {changed}" if changed else ""
-    told = str(event.get("reason") or event.get("cause") or "")
+    reason = str(event.get("reason") or event.get("cause") or "")
     failures = event.get("failures")
-    return f"{told}; did not stop: {failures}" if failures else told
+    return f"{reason}; did not stop: {failures}" if failures else reason
 
 
 # Origin

@@ -70,7 +70,7 @@ class Settling:
 
 def repeatability(view: RunView) -> list[Repeatability]:
     """Return the repeatability of every objective that was measured more than once at some condition."""
-    found = []
+    scatters = []
     for name in view.experiment.objectives:
         points = view.points(name)
         found_scatter = scatter((point.values, point.mountings) for point in points)
@@ -80,35 +80,35 @@ def repeatability(view: RunView) -> list[Repeatability]:
             sd, freedom, between, mountings = between, mountings, None, 0
         if sd is not None:
             unit = view.unit_of(name)
-            found.append(Repeatability(name, unit, sd, freedom, _between(points), between, mountings))
-    return found
+            scatters.append(Repeatability(name, unit, sd, freedom, _between(points), between, mountings))
+    return scatters
 
 
-def repeatability_columns(found: Sequence[Repeatability]) -> tuple[str, ...]:
+def repeatability_columns(repeatabilities: Sequence[Repeatability]) -> tuple[str, ...]:
     """Return the headings of a table of standard deviations: with mountings where any was repeated."""
-    if all(item.mounting_sd is None for item in found):
+    if all(item.mounting_sd is None for item in repeatabilities):
         return "sd within a condition", "sd between conditions"
     return "sd within a mounting", "sd between mountings", "sd between conditions"
 
 
-def standard_deviations(item: Repeatability, found: Sequence[Repeatability]) -> list[float | None]:
+def standard_deviations(item: Repeatability, repeatabilities: Sequence[Repeatability]) -> list[float | None]:
     """Return what stands under `repeatability_columns` for one objective."""
-    if all(other.mounting_sd is None for other in found):
+    if all(other.mounting_sd is None for other in repeatabilities):
         return [item.sd, item.between_sd]
     return [item.sd, item.mounting_sd, item.between_sd]
 
 
 def drift(view: RunView) -> list[Drift]:
     """Return the drift of every objective by least squares over at least three reference trials."""
-    found = []
+    trends = []
     for name in view.experiment.objectives:
         hours, values = reference_values(view, name)
         if len(hours) < 3 or np.ptp(hours) == 0.0:
             continue
         slope, square, half_sd = _line(hours, values)
         half = half_sd / math.sqrt(square)
-        found.append(Drift(name, view.unit_of(name), slope, (slope - half, slope + half), len(hours)))
-    return found
+        trends.append(Drift(name, view.unit_of(name), slope, (slope - half, slope + half), len(hours)))
+    return trends
 
 
 def scaled_to_largest(values: FloatArray) -> FloatArray:
@@ -209,8 +209,8 @@ def grows_with_size(means: FloatArray, sds: FloatArray) -> float | None:
 
     if len(means) < 8 or np.ptp(np.abs(means)) == 0.0 or np.ptp(sds) == 0.0:
         return None
-    found: Any = spearmanr(np.abs(means), sds)
-    return float(found.statistic) if float(found.pvalue) < 0.01 else None
+    correlation: Any = spearmanr(np.abs(means), sds)
+    return float(correlation.statistic) if float(correlation.pvalue) < 0.01 else None
 
 
 DRIFT_SUFFIX = "_drift_corrected"
@@ -224,8 +224,8 @@ def drift_of(run: Run) -> list[Drift]:
     RequestError
         There are not so many, or the run's clock began anew in its course, so that their times do not compare.
     """
-    found = drift(RunView(run, experiment_of(run.experiment_toml, run.name), None))
-    if not found:
+    trends = drift(RunView(run, experiment_of(run.experiment_toml, run.name), None))
+    if not trends:
         references = sum(o.role == "reference" and o.status == "done" for o in run.outcomes)
         raise RequestError(
             f"no drift can be removed from {run.path}: it takes three accepted reference trials at different times, "
@@ -239,10 +239,10 @@ def drift_of(run: Run) -> list[Drift]:
             "so that times before and after do not compare",
             hint="export it without --remove-drift",
         )
-    return found
+    return trends
 
 
-def without_drift(outcomes: Sequence[TrialOutcome], found: Sequence[Drift]) -> list[TrialOutcome]:
+def without_drift(outcomes: Sequence[TrialOutcome], drifts: Sequence[Drift]) -> list[TrialOutcome]:
     """Return the trials with an objective more for every one that drifts: ``<objective>_drift_corrected``.
 
     From each value the line through the reference trials is subtracted, from where it stands at the first trial's
@@ -252,7 +252,7 @@ def without_drift(outcomes: Sequence[TrialOutcome], found: Sequence[Drift]) -> l
     ----------
     outcomes
         Of one run, in the order they ran.
-    found
+    drifts
         From `drift_of`.
     """
     start_s = outcomes[0].started_s if outcomes else 0.0
@@ -263,7 +263,7 @@ def without_drift(outcomes: Sequence[TrialOutcome], found: Sequence[Drift]) -> l
             | {
                 f"{item.objective}{DRIFT_SUFFIX}": outcome.objectives[item.objective]
                 - item.slope_per_h * (outcome.started_s - start_s) / 3600
-                for item in found
+                for item in drifts
                 if item.objective in outcome.objectives
             },
         )

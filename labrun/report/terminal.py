@@ -95,9 +95,9 @@ def _print_trust(findings: Findings, console: Console) -> None:
     if findings.drift:
         console.print(_drift(findings.drift))
     if findings.settling is not None:
-        found = findings.settling
-        reasons = ", ".join(f"{count} {reason}" for reason, count in found.reasons.items())
-        median, longest = short_time_text(found.median_s), short_time_text(found.longest_s)
+        settling = findings.settling
+        reasons = ", ".join(f"{count} {reason}" for reason, count in settling.reasons.items())
+        median, longest = short_time_text(settling.median_s), short_time_text(settling.longest_s)
         console.print(Text(f"settling: {reasons}; median {median}, longest {longest}"))
     if findings.unsettled:
         warning = unsettled_text(findings.unsettled, len(findings.accepted))
@@ -115,44 +115,46 @@ def _shortened(texts: Sequence[str]) -> list[str]:
     return [*texts[:_MOST_REASONS], *([f"and {more} more; --json has all"] if more > 0 else [])]
 
 
-def _print_recording(found: Mapping[str, Any], console: Console) -> None:
+def _print_recording(recording: Mapping[str, Any], console: Console) -> None:
     """Print what a recording holds, as `Findings.to_json` tells: its channels, and its trials by condition."""
-    console.print(Text(f"Recording {found['experiment']}", style="bold"))
-    console.print(Text(f"{found['trials']} trials, {short_time_text(found['duration_s'])} of samples"))
-    for fault in found["faults"]:
+    console.print(Text(f"Recording {recording['experiment']}", style="bold"))
+    console.print(
+        Text(f"{recording['trials']} trials, {short_time_text(recording['duration_s'])} of samples")
+    )
+    for fault in recording["faults"]:
         console.print(Text(f"damaged: {fault}", style="yellow"))
-    source = found["source"]
+    source = recording["source"]
     if source:
-        told = [f"{key} {value}" for key, value in source.items() if key != "kind"]
-        console.print(Text(f"source: {', '.join([source.get('kind', ''), *told])}"))
+        parts = [f"{key} {value}" for key, value in source.items() if key != "kind"]
+        console.print(Text(f"source: {', '.join([source.get('kind', ''), *parts])}"))
     channels = _table("channels", "channel", "kind", "unit", "rate")
-    for channel in found["channels"]:
+    for channel in recording["channels"]:
         channels.add_row(channel["name"], channel["kind"], channel["unit"], f"{channel['rate_hz']:.4g} Hz")
     console.print(channels)
-    if all("means" in item for item in found["conditions"]):
-        console.print(_table_of_numbers(found))
+    if all("means" in item for item in recording["conditions"]):
+        console.print(_table_of_numbers(recording))
     else:
-        console.print(_trials_by_condition(found))
-    paths = {"run": found["run"], "imported from": found["imported_from"]}
-    if found["run"] == found["imported_from"]:
-        paths = {"recording": found["run"]}
+        console.print(_trials_by_condition(recording))
+    paths = {"run": recording["run"], "imported from": recording["imported_from"]}
+    if recording["run"] == recording["imported_from"]:
+        paths = {"recording": recording["run"]}
     for name, path in paths.items():
         console.print(Text(f"{name:<13} {path}"), soft_wrap=True)
 
 
-def _table_of_numbers(found: Mapping[str, Any]) -> Table:
+def _table_of_numbers(recording: Mapping[str, Any]) -> Table:
     """Return a recording without a course in time as the table that it is."""
-    columns = [with_unit(channel["name"], channel["unit"]) for channel in found["channels"]]
+    columns = [with_unit(channel["name"], channel["unit"]) for channel in recording["channels"]]
     table = _table("means by condition", "condition", "trials", *columns)
-    for item in found["conditions"]:
-        numbers = [f"{item['means'][channel['name']]:.4g}" for channel in found["channels"]]
+    for item in recording["conditions"]:
+        numbers = [f"{item['means'][channel['name']]:.4g}" for channel in recording["channels"]]
         table.add_row(condition_text(item["condition"]) or "(none given)", str(item["trials"]), *numbers)
     return table
 
 
-def _trials_by_condition(found: Mapping[str, Any]) -> Table:
+def _trials_by_condition(recording: Mapping[str, Any]) -> Table:
     conditions = _table("trials by condition", "condition", "trials", "done", "duration")
-    for item in found["conditions"]:
+    for item in recording["conditions"]:
         shortest, longest = f"{item['shortest_s']:.4g}", f"{item['longest_s']:.4g}"
         lasted = f"{longest} s" if shortest == longest else f"{shortest} to {longest} s"
         name = condition_text(item["condition"]) or "(none given)"
@@ -196,20 +198,20 @@ def _table(title: str, *columns: str) -> Table:
     return table
 
 
-def _repeatability(found: Sequence[Repeatability]) -> Table:
-    table = _table("repeatability", "objective", *repeatability_columns(found), "freedom")
-    for item in found:
-        sds = standard_deviations(item, found)
+def _repeatability(repeatabilities: Sequence[Repeatability]) -> Table:
+    table = _table("repeatability", "objective", *repeatability_columns(repeatabilities), "freedom")
+    for item in repeatabilities:
+        sds = standard_deviations(item, repeatabilities)
         cells = ["" if sd is None else quantity_text(sd, item.unit) for sd in sds]
         table.add_row(item.objective, *cells, str(item.degrees_of_freedom))
     return table
 
 
-def _drift(found: Sequence[Drift]) -> Table:
+def _drift(drifts: Sequence[Drift]) -> Table:
     table = _table(
         "drift, by reference trials", "objective", "per hour of bench time, 95 % interval", "trials", ""
     )
-    for item in found:
+    for item in drifts:
         slope = interval_text(item.slope_per_h, item.ci95, f"{item.unit}/h")
         verdict = Text("drifts", style="yellow") if item.visible else Text("none visible")
         table.add_row(item.objective, slope, str(item.trials), verdict)

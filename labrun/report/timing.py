@@ -93,9 +93,9 @@ def _marks(events: Sequence[Mapping[str, Any]], ends: Mapping[int, float]) -> di
             marks[index], last = {}, index
         if index in marks:
             marks[index][kind] = clock_s
-    for index, found in marks.items():
-        end = ends.get(index, found.get("stopped"))
-        marks[index] = found if end is None else {**found, "end": end}
+    for index, mark in marks.items():
+        end = ends.get(index, mark.get("stopped"))
+        marks[index] = mark if end is None else {**mark, "end": end}
     return marks
 
 
@@ -221,18 +221,18 @@ def command_health(events: Sequence[Mapping[str, Any]]) -> dict[str, Pacing]:
     by_device: dict[str, list[Pacing]] = {}
     for event in events:
         if event["event"] == "commands" and event["sent"]:
-            told = Pacing(**{one.name: event[one.name] for one in fields(Pacing)})
-            by_device.setdefault(event["device"], []).append(told)
+            pacing = Pacing(**{field.name: event[field.name] for field in fields(Pacing)})
+            by_device.setdefault(event["device"], []).append(pacing)
     return {
         device: Pacing(
-            told[0].rate_hz,
-            sum(one.sent for one in told),
-            sum(one.missed for one in told),
-            float(np.median([one.late_median_s for one in told])),
-            float(np.median([one.late_p99_s for one in told])),
-            max(one.late_worst_s for one in told),
+            pacings[0].rate_hz,
+            sum(pacing.sent for pacing in pacings),
+            sum(pacing.missed for pacing in pacings),
+            float(np.median([pacing.late_median_s for pacing in pacings])),
+            float(np.median([pacing.late_p99_s for pacing in pacings])),
+            max(pacing.late_worst_s for pacing in pacings),
         )
-        for device, told in by_device.items()
+        for device, pacings in by_device.items()
     }
 
 
@@ -309,14 +309,16 @@ def _quantile(parts: Sequence[FloatArray], share: float) -> float:
 
 def loop_words(health: LoopHealth) -> str:
     """Return it in a sentence."""
-    median, high = (milliseconds_text(one) for one in (health.latency_median_s, health.latency_p99_s))
+    median, high = (milliseconds_text(seconds) for seconds in (health.latency_median_s, health.latency_p99_s))
     latency = (
         f"latency {median} in the median, {high} at 99 %"
         if np.isfinite(health.latency_median_s)
         else "no step had a sample to use"
     )
     if np.isfinite(health.reaction_median_s):
-        median, high = (milliseconds_text(one) for one in (health.reaction_median_s, health.reaction_p99_s))
+        median, high = (
+            milliseconds_text(seconds) for seconds in (health.reaction_median_s, health.reaction_p99_s)
+        )
         latency += f"; a sample is acted on {median} after it was received in the median, {high} at 99 %"
     missed = (
         f"{health.missed} of {health.steps} steps came late or were skipped ({100 * health.missed_share:.2g} %), "

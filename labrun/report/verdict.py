@@ -119,8 +119,12 @@ def checks(findings: Findings) -> list[Check]:
         return []
     if findings.simulated_only:
         return [_losses(findings)] if findings.spoiled else []
-    found = [check(findings) for check in (_noise, _steadiness, _rest, _sampling, _losses)]
-    return [one for one in found if one is not None and not (findings.imported and one.verdict == "open")]
+    findings_of = [check(findings) for check in (_noise, _steadiness, _rest, _sampling, _losses)]
+    return [
+        verdict
+        for verdict in findings_of
+        if verdict is not None and not (findings.imported and verdict.verdict == "open")
+    ]
 
 
 def _noise(findings: Findings) -> Check | None:
@@ -240,12 +244,12 @@ def why_unfinished(findings: Findings) -> str:
     return f"It last ended with: {last.get('reason', last['event'])}."
 
 
-def why_it_went_on(found: Settling) -> str:
+def why_it_went_on(settling: Settling) -> str:
     """Return why waiting for the bench to come to rest ended, over all trials."""
-    total = sum(found.reasons.values())
-    if set(found.reasons) == {"quiet"}:
+    total = sum(settling.reasons.values())
+    if set(settling.reasons) == {"quiet"}:
         return f"Before all {counted(total, 'trial')} the bench was quiet."
-    if set(found.reasons) == {"time"}:
+    if set(settling.reasons) == {"time"}:
         return f"{counted(total, 'trial')} began after a fixed time; whether the bench was at rest was not looked at."
     words = {
         "quiet": "the bench was quiet",
@@ -254,7 +258,7 @@ def why_it_went_on(found: Settling) -> str:
     }
     parts = [
         f"{words.get(reason, reason)} before {count} ({share_text(count, total)})"
-        for reason, count in found.reasons.items()
+        for reason, count in settling.reasons.items()
     ]
     return f"Of {counted(total, 'trial')}: {', '.join(parts)}."
 

@@ -118,10 +118,10 @@ def _parse_slowly(lines: Sequence[str], header: Sequence[str], wanted: Sequence[
 
 def _row_faults(path: Path, lines: Sequence[str], header: Sequence[str], wanted: Sequence[str]) -> list[str]:
     """Return every fault below the header, those of one kind in one column summed up after the first few."""
-    found: dict[tuple[str, str], list[str]] = {}
+    labels: dict[tuple[str, str], list[str]] = {}
 
     def note(kind: str, column: str, message: str) -> None:
-        found.setdefault((kind, column), []).append(message)
+        labels.setdefault((kind, column), []).append(message)
 
     columns = {name: list(header).index(name) for name in wanted}
     ends = _early_ends(lines, len(header), columns)
@@ -153,7 +153,7 @@ def _row_faults(path: Path, lines: Sequence[str], header: Sequence[str], wanted:
                     )
                 previous, previous_line = value, number
     faults = []
-    for messages in found.values():
+    for messages in labels.values():
         faults += messages[:_SHOWN_PER_KIND]
         if len(messages) > _SHOWN_PER_KIND:
             faults[-1] += f" (and {len(messages) - _SHOWN_PER_KIND} more like it)"

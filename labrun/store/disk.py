@@ -98,7 +98,9 @@ def require_writable(folder: Path, what: str) -> None:
 
 def _existing(folder: Path) -> Path:
     """Return a folder, or the nearest one above it that exists: on its disk the folder will be made."""
-    return next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
+    return next(
+        candidate for candidate in (folder.absolute(), *folder.absolute().parents) if candidate.exists()
+    )
 
 
 def lacking_room(folder: Path, needed: float) -> str | None:

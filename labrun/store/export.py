@@ -124,11 +124,11 @@ def run_dataset(run: Run, name: str, *, tared: bool) -> "xr.Dataset":
     marks = np.repeat(np.array([index for index, _ in read], dtype=np.int64), counts)
     coordinates = {TRIAL_INDEX: xarray.Variable(SAMPLE, marks, {"long_name": "index of the trial"})}
     columns: dict[tuple[str, str], list[tuple[int, FloatArray]]] = {}
-    for place, (_, signals) in enumerate(read):
+    for index, (_, signals) in enumerate(read):
         for key, values in _times(signals).items():
-            columns.setdefault((key, "s"), []).append((place, values))
+            columns.setdefault((key, "s"), []).append((index, values))
         for column, unit in zip(signals.columns, signals.units, strict=True):
-            columns.setdefault((column, unit), []).append((place, signals.column(column)))
+            columns.setdefault((column, unit), []).append((index, signals.column(column)))
     data: dict[str, Any] = {}
     for (column, unit), parts in columns.items():
         values = _joined(parts, counts)
@@ -145,16 +145,16 @@ def run_dataset(run: Run, name: str, *, tared: bool) -> "xr.Dataset":
 
 
 def _times(signals: Signals) -> dict[str, FloatArray]:
-    found = {name: getattr(signals, name) for name in TIMES}
-    return {name: values for name, values in found.items() if values is not None}
+    axes = {name: getattr(signals, name) for name in TIMES}
+    return {name: values for name, values in axes.items() if values is not None}
 
 
 def _joined(parts: Sequence[tuple[int, FloatArray]], counts: Sequence[int]) -> FloatArray:
     """Return the values of all trials, NaN for those that have none."""
     ends = np.cumsum(counts)
     values = np.full(int(ends[-1]), np.nan)
-    for place, part in parts:
-        values[ends[place] - counts[place] : ends[place]] = part
+    for index, part in parts:
+        values[ends[index] - counts[index] : ends[index]] = part
     return values
 
 

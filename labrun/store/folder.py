@@ -282,8 +282,8 @@ class RunFolder:
         with self.lock():
             target = self.path / PACKED
             outcomes = self.outcomes()
-            found = trial_files(self.path / TRIALS)
-            files = {index: path for index, path in found.items() if index in outcomes}
+            paths = trial_files(self.path / TRIALS)
+            files = {index: path for index, path in paths.items() if index in outcomes}
             if files or not target.is_file() or packed_file.read_outcomes(target) != outcomes:
                 self._write_packed(target, outcomes, TrialSource(target, files))
             self.journal.append("packed", trials=len(outcomes))
@@ -355,21 +355,21 @@ class RunFolder:
                 described[event["index"]] = event
             elif event["event"] == "damaged":
                 described.pop(event["index"], None)
-        found = packed_file.read_outcomes(self.path / PACKED)
+        outcomes = packed_file.read_outcomes(self.path / PACKED)
         for index, path in trial_files(self.path / TRIALS).items():
             try:
-                found[index] = check(path, described.get(index))
+                outcomes[index] = check(path, described.get(index))
             except InaccessibleError:
                 raise
             except RecordingError as error:
                 self._set_aside(path, error, repair=repair)
                 described.pop(index, None)
-        missing = sorted(described.keys() - found.keys())
+        missing = sorted(described.keys() - outcomes.keys())
         self.faults += [
             f"trial {index} is in the journal, but its file is gone: it counts as not run"
             for index in missing
         ]
-        self._known = apply_marks(found, events)
+        self._known = apply_marks(outcomes, events)
 
     def _set_aside(self, path: Path, error: RecordingError, *, repair: bool) -> None:
         fault = f"{error}; it counts as not run"

@@ -138,8 +138,8 @@ class Journal:
 
 def remarks_of(events: Iterable[Mapping[str, Any]]) -> tuple[str, ...]:
     """Return what is to be told of single trials, a sentence each: a learner that died, a command that was bounded."""
-    found = [f"trial {event['index'] + 1}: {event['text']}" for event in events if event["event"] == "remark"]
-    return tuple(dict.fromkeys(found))
+    texts = [f"trial {event['index'] + 1}: {event['text']}" for event in events if event["event"] == "remark"]
+    return tuple(dict.fromkeys(texts))
 
 
 def parse_events(content: bytes, source: str) -> list[dict[str, Any]]:

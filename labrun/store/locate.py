@@ -79,14 +79,14 @@ def find_data(target: str | Path, results: Path) -> Path:
         return folder
     if len(folder.parts) > 1:
         return find_run(target, results)
-    shelves = [one / "recordings" for one in (Path("experiments"), shipped_experiments())]
-    named = next((one for shelf in shelves if is_recording(one := shelf / folder)), None)
+    shelves = [path / "recordings" for path in (Path("experiments"), shipped_experiments())]
+    named = next((candidate for shelf in shelves if is_recording(candidate := shelf / folder)), None)
     if named is not None:
         return named
     try:
         return find_run(target, results)
     except RequestError as error:
-        recordings = {one.parent.name for shelf in shelves for one in shelf.glob("*/recording.toml")}
+        recordings = {path.parent.name for shelf in shelves for path in shelf.glob("*/recording.toml")}
         near = nearest(str(target), recordings)
         if near is None or str(error.hint).startswith("did you mean"):
             raise
@@ -102,8 +102,8 @@ def find_unfinished(target: str | None, results: Path) -> Path:
         There is no such run, or all have finished.
     """
     if target is not None:
-        found = find_run(target, results)
-        return found.parent if found.is_file() else found
+        run = find_run(target, results)
+        return run.parent if run.is_file() else run
     open_runs = [run for run in all_runs(results) if not is_finished(run)]
     if not open_runs:
         raise RequestError(f"no run in {results} waits to be resumed", hint="labrun resume RUN names one")
@@ -150,8 +150,8 @@ def _unknown(target: str, results: Path) -> RequestError:
             hint=f"labrun {_command(files[target])} {target} --dry-run makes one",
         )
     with_runs = sorted({run.parent.name for run in all_runs(results)})
-    beside = Path(target).expanduser().parent
-    folders = [str(one) for one in beside.glob("*/") if is_run(one) or is_recording(one) or runs_of(one)]
+    parent = Path(target).expanduser().parent
+    folders = [str(path) for path in parent.glob("*/") if is_run(path) or is_recording(path) or runs_of(path)]
     near = nearest(target, [*with_runs, *files, *folders])
     if near:
         hint = f"did you mean {near!r}?"

@@ -147,7 +147,7 @@ class RaggedWriter:
         for name, values, attributes in of_trials:
             create(group, name, values, attributes, trial_scale)
             self._sums[name] = zlib.crc32(values.data)
-        return {_told(name, group[name]): found for name, found in self._sums.items()}
+        return {_told(name, group[name]): checksum for name, checksum in self._sums.items()}
 
     def _flush(self) -> None:
         """Write the block that waits: what fits in one block contiguous, what is larger in chunks."""
@@ -179,10 +179,12 @@ class RaggedWriter:
 
     def _nothing_before(self, nothing: float, kind: type) -> int:
         """Return the checksum of what stands before the first sample of a column that comes late."""
-        found = 0
+        checksum = 0
         for start in range(0, self._written, MEMORY_ROWS):
-            found = zlib.crc32(np.full(min(MEMORY_ROWS, self._written - start), nothing, kind).data, found)
-        return found
+            checksum = zlib.crc32(
+                np.full(min(MEMORY_ROWS, self._written - start), nothing, kind).data, checksum
+            )
+        return checksum
 
     def _dataset_name(self, column: str, unit: str) -> str:
         if (column, unit) not in self.columns:
@@ -222,13 +224,15 @@ class RaggedGroup:
     def signals(self, name: str, row: int) -> LongSignals:
         """Return one trial's signals; `has` them."""
         names = self._sets[self._set[row]]
-        columns = [(*self._column(one), one) for one in names]
-        axes = {column: one for column, _, _, one in columns if column in TIMES}
-        measured = [(column, unit, one) for column, unit, _, one in columns if column not in TIMES]
+        columns = [(*self._column(column_name), column_name) for column_name in names]
+        axes = {column: column_name for column, _, _, column_name in columns if column in TIMES}
+        measured = [
+            (column, unit, column_name) for column, unit, _, column_name in columns if column not in TIMES
+        ]
         tare = {
-            column: float(self._tares[one][row])
-            for column, _, one in measured
-            if one in self._tares and not np.isnan(self._tares[one][row])
+            column: float(self._tares[column_name][row])
+            for column, _, column_name in measured
+            if column_name in self._tares and not np.isnan(self._tares[column_name][row])
         }
         known = {key: values[row].item() for key, values in self._known.items()}
         none = np.empty(0)
@@ -248,8 +252,10 @@ class RaggedGroup:
             begin = first + skipped
             for start in range(begin, max(first + count, begin + 1), MEMORY_ROWS):
                 length = min(MEMORY_ROWS, first + count - start)
-                read: dict[str, Any] = {axis: self._read(one, start, length) for axis, one in axes.items()}
-                values = [self._read(one, start, length) for _, _, one in measured]
+                read: dict[str, Any] = {
+                    axis: self._read(stored, start, length) for axis, stored in axes.items()
+                }
+                values = [self._read(column_name, start, length) for _, _, column_name in measured]
                 yield replace(
                     head, values=np.column_stack(values) if values else np.empty((length, 0)), **read
                 )
@@ -258,15 +264,15 @@ class RaggedGroup:
 
     def sums(self) -> Sums:
         """Return the checksums of everything, read to the last sample."""
-        found = {}
+        axes_read = {}
         for name, dataset in self._group.items():
             if name == SAMPLE:  # the dimension
                 continue
             total = 0
             for start in range(0, len(dataset), MEMORY_ROWS):
                 total = zlib.crc32(dataset[start : start + MEMORY_ROWS].data, total)
-            found[_told(name, dataset)] = total
-        return found
+            axes_read[_told(name, dataset)] = total
+        return axes_read
 
     def _column(self, name: str) -> tuple[str, str, h5py.Dataset]:
         """Return a column's own name, its unit, and its dataset."""
@@ -353,8 +359,8 @@ def write_packed(
             for column, unit in reversed(group.columns)  # what a channel had first counts
             if name not in BESIDE and column not in TIMES
         }
-        found = variables(list(outcomes.values()), known_units(texts.spec_toml, units), groups)
-        scale = _write_table(file, found)
+        table_variables = variables(list(outcomes.values()), known_units(texts.spec_toml, units), groups)
+        scale = _write_table(file, table_variables)
         sums = {name: group.finish(scale) for name, group in groups.items()}
         sums[RECORD] = _sum_of(lines)
         record = file.create_group(RECORD, track_order=True)
@@ -363,11 +369,11 @@ def write_packed(
     return sums
 
 
-def _write_table(file: h5py.File, found: Sequence[Variable]) -> h5py.Dataset:
+def _write_table(file: h5py.File, table_variables: Sequence[Variable]) -> h5py.Dataset:
     """Write the table; the index of the trials is its axis. Return the scale."""
-    scale = create(file, AXIS, found[0].values, {"units": "", "kind": "trial"}, None)
+    scale = create(file, AXIS, table_variables[0].values, {"units": "", "kind": "trial"}, None)
     scale.make_scale(AXIS)
-    for variable in found:
+    for variable in table_variables:
         create(file, variable.name, variable.values, {"units": variable.unit, "kind": variable.kind}, scale)
     return scale
 
@@ -408,8 +414,8 @@ class PackedTrials:
 
     def holds(self, outcomes: Mapping[int, TrialOutcome], sums: Mapping[str, Sums]) -> bool:
         """Tell whether the file holds exactly these outcomes and signals, reading all of it."""
-        found = {name: group.sums() for name, group in self._groups.items()}
-        return list(self._rows) == list(outcomes) and {**found, RECORD: _sum_of(self._lines)} == sums
+        checksums = {name: group.sums() for name, group in self._groups.items()}
+        return list(self._rows) == list(outcomes) and {**checksums, RECORD: _sum_of(self._lines)} == sums
 
 
 def holds(path: Path, outcomes: Mapping[int, TrialOutcome], sums: Mapping[str, Sums]) -> bool:
@@ -438,12 +444,14 @@ def _sum_of(lines: str) -> Sums:
 
 
 def _lines_of(outcomes: Mapping[int, TrialOutcome]) -> str:
-    return "".join(f"{json.dumps(one.to_record(), default=json_ready)}\n" for one in outcomes.values())
+    return "".join(
+        f"{json.dumps(outcome.to_record(), default=json_ready)}\n" for outcome in outcomes.values()
+    )
 
 
 def _outcomes(lines: str) -> dict[int, TrialOutcome]:
-    found = (TrialOutcome.from_record(json.loads(line)) for line in lines.split("\n")[:-1])
-    return {outcome.index: outcome for outcome in found}
+    outcomes = (TrialOutcome.from_record(json.loads(line)) for line in lines.split("\n")[:-1])
+    return {outcome.index: outcome for outcome in outcomes}
 
 
 def _opened(path: Path, *, locked: bool = True) -> tuple[h5py.File, RunTexts, str]:

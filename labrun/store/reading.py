@@ -126,10 +126,11 @@ class Run:
         """Channels with their units, by device, of the first trial that recorded anything."""
         for outcome in self.outcomes:
             with self.source.tables(outcome.index) as tables:
-                found = {name: table for name, table in tables.items() if name not in BESIDE}
-            if found:
+                trial_tables = {name: table for name, table in tables.items() if name not in BESIDE}
+            if trial_tables:
                 return {
-                    name: dict(zip(table.columns, table.units, strict=True)) for name, table in found.items()
+                    name: dict(zip(table.columns, table.units, strict=True))
+                    for name, table in trial_tables.items()
                 }
         return {}
 
@@ -169,10 +170,10 @@ def open_run(target: Path) -> Run:
         )
     if not target.is_file():
         raise RecordingError(f"there is no run {target}", hint="labrun list shows the runs there are")
-    beside = target.parent / SPEC
-    if target.name == PACKED and beside.is_file():
+    sibling = target.parent / SPEC
+    if target.name == PACKED and sibling.is_file():
         packed = _open_packed(target)
-        if beside.read_text() == packed.experiment_toml:
+        if sibling.read_text() == packed.experiment_toml:
             # its folder may know more: marks and trials since then
             return _open_folder(target.parent, target)
         return packed
@@ -189,8 +190,8 @@ def open_target(target: str, results: Path) -> Run:
     RecordingError
         It cannot be read, or the recording has faults.
     """
-    found = find_data(target, results)
-    return open_run(found.absolute() if is_recording(found) else found)
+    data = find_data(target, results)
+    return open_run(data.absolute() if is_recording(data) else data)
 
 
 def _open_folder(folder_path: Path, target: Path) -> Run:
@@ -241,8 +242,8 @@ class _Recorded:
     def tables(self, index: int) -> Iterator[dict[str, LongSignals]]:
         if not 0 <= index < len(self._recording.trials):
             raise RecordingError(f"recording {self._recording.name} has no trial {index}")
-        found = self._recording.trials[index].signals(self._recording)
-        yield {table.name: LongSignals(table[:0], len(table), table.pieces_from) for table in found}
+        signals = self._recording.trials[index].signals(self._recording)
+        yield {table.name: LongSignals(table[:0], len(table), table.pieces_from) for table in signals}
 
     def size(self) -> int:
         return sum(trial.source_file.stat().st_size for trial in self._recording.trials)

@@ -84,17 +84,17 @@ class _File(Table):
     def _says_enough(self) -> "_File":
         with TableFaults() as faults:
             if not self.channels:
-                said = "no channels; expected a table [channels.NAME] for each column of the CSV files"
-                faults.add("channels", said)
+                message = "no channels; expected a table [channels.NAME] for each column of the CSV files"
+                faults.add("channels", message)
             elif all(channel.kind == "input" for channel in self.channels.values()):
                 faults.add(
                     "channels", 'no channel has kind = "output": there is nothing to compare a model with'
                 )
-            outputs = {name: one for name, one in self.channels.items() if one.kind == "output"}
-            silent = [name for name, one in outputs.items() if one.reading_error is None]
+            outputs = {name: channel for name, channel in self.channels.items() if channel.kind == "output"}
+            silent = [name for name, output in outputs.items() if output.reading_error is None]
             if 0 < len(silent) < len(outputs):
-                said = "has no reading_error, and other outputs do: state that of every output, or of none"
-                faults.add(("channels", silent[0]), said)
+                message = "has no reading_error, and other outputs do: state that of every output, or of none"
+                faults.add(("channels", silent[0]), message)
             if "time_s" in self.channels:
                 faults.add(("channels", "time_s"), "is the first column of every file and no channel")
             if not self.trials:
@@ -133,8 +133,8 @@ def read_toml(path: Path) -> tuple[Contents, list[str]]:
     except RecordingError as error:
         return Contents(folder), [str(error)]
     file, faults = mend(_File, data)
-    trials, found = _trials(data.get("trials"), text)
-    faults += found
+    trials, entries = _trials(data.get("trials"), text)
+    faults += entries
     name = file.experiment if file is not None and file.experiment is not None else folder
     if not _FOLDER_NAME.fullmatch(name) or len(name.encode()) > _LONGEST_NAME:
         origin = "" if "experiment" in data else f"{name!r} (the folder's own, as recording.toml gives none) "
@@ -152,7 +152,7 @@ def read_toml(path: Path) -> tuple[Contents, list[str]]:
 def _trials(tables: object, text: str) -> tuple[list[TrialEntry], list[Fault]]:
     """Return the trials that hold; those without a number are the next free repeat of their condition."""
     places = locate(text)
-    found: list[TrialEntry] = []
+    entries: list[TrialEntry] = []
     faults: list[Fault] = []
     files: dict[str, int] = {}
     taken: dict[tuple[object, ...], dict[int, int]] = {}
@@ -179,8 +179,8 @@ def _trials(tables: object, text: str) -> tuple[list[TrialEntry], list[Fault]]:
             message = f"this is repeat {repeat} of its condition, as is the trial at line {lines[repeat]}"
             faults.append(Fault((*path, "file"), message, at_value=True))
         lines[repeat] = line
-        found.append(TrialEntry(table.file, condition, repeat, line))
-    return found, faults
+        entries.append(TrialEntry(table.file, condition, repeat, line))
+    return entries, faults
 
 
 _SHOWN_FAULTS = 25
@@ -306,8 +306,8 @@ def read_recording(folder: Path) -> Recording:
     )
     trials = []
     for entry in contents.trials:
-        columns, found = read_columns(folder / entry.file, ["time_s", *names], f"{path}:{entry.line}")
-        faults += found
+        columns, samples = read_columns(folder / entry.file, ["time_s", *names], f"{path}:{entry.line}")
+        faults += samples
         if columns is not None:
             trials.append(_trial(entry, columns, inputs, outputs, folder / entry.file))
     if faults:
@@ -351,5 +351,5 @@ def imported_channels(experiment_toml: str) -> dict[str, Any]:
 
 def imported_source(experiment_toml: str) -> dict[str, str]:
     """Return what a recording that was imported says of where it comes from; empty where it says nothing."""
-    found = tomllib.loads(experiment_toml).get("source")
-    return {key: str(value) for key, value in found.items()} if isinstance(found, dict) else {}
+    source = tomllib.loads(experiment_toml).get("source")
+    return {key: str(value) for key, value in source.items()} if isinstance(source, dict) else {}

@@ -129,7 +129,7 @@ class TrialOutcome:
 
 def mean_truncation(outcomes: Sequence[TrialOutcome], objective: str) -> float:
     """Return what cut cycles may have done to the mean of an objective over trials; 0 where none were cut."""
-    return sum(one.truncation.get(objective, 0.0) for one in outcomes) / max(len(outcomes), 1)
+    return sum(outcome.truncation.get(objective, 0.0) for outcome in outcomes) / max(len(outcomes), 1)
 
 
 def settle_curve(time_s: FloatArray, spread: FloatArray, drift: FloatArray, unit: str) -> Signals:
@@ -197,10 +197,10 @@ def variables(
             Variable(
                 _free(f"{name}_{of}" if of == "truncation" else name, prefix, used),
                 units.get(name, ""),
-                _column([one.get(name) for one in entries]),
+                _column([entry.get(name) for entry in entries]),
                 kind,
             )
-            for name in dict.fromkeys(name for one in entries for name in one)
+            for name in dict.fromkeys(name for entry in entries for name in entry)
         ]
 
     condition_columns = columns("condition", "condition", "condition")
@@ -241,11 +241,11 @@ def known_units(spec_toml: str, channel_units: Mapping[str, str]) -> dict[str, s
         Unit of every recorded channel, by ``"device.channel"``.
     """
     spec = tomllib.loads(spec_toml)
-    found: dict[str, str] = {}
+    units: dict[str, str] = {}
     for name, settings in spec.get("objectives", {}).items():
-        found[name] = _objective_unit(name, settings, channel_units)
-    found.update(spec.get("units", {}))
-    return found
+        units[name] = _objective_unit(name, settings, channel_units)
+    units.update(spec.get("units", {}))
+    return units
 
 
 def _objective_unit(name: str, settings: Mapping[str, Any], channel_units: Mapping[str, str]) -> str:

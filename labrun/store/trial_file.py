@@ -90,8 +90,8 @@ def trial_files(trials: Path) -> dict[int, Path]:
     """Return the trial files of a folder by index, in order; empty if there is no such folder."""
     if not trials.is_dir():
         return {}
-    found = (path for path in trials.iterdir() if path.suffix == ".h5" and path.stem.isdigit())
-    return {int(path.stem): path for path in sorted(found)}
+    paths = (path for path in trials.iterdir() if path.suffix == ".h5" and path.stem.isdigit())
+    return {int(path.stem): path for path in sorted(paths)}
 
 
 def write_trial(path: Path, outcome: TrialOutcome, tables: Iterable[Signals | LongSignals]) -> None:

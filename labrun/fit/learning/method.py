@@ -81,8 +81,8 @@ class TrainingSamples:
         if not inverse:
             return self
         nominal = load_inverse(inverse)
-        found = np.array([nominal(row) for row in self.inputs.tolist()], dtype=np.float64)
-        return replace(self, outputs=np.asarray(self.outputs - found))
+        nominals = np.array([nominal(row) for row in self.inputs.tolist()], dtype=np.float64)
+        return replace(self, outputs=np.asarray(self.outputs - nominals))
 
 
 def mean_absolute(error: FloatArray) -> float:
@@ -172,8 +172,10 @@ class DataTable(Keys):
         ]
         enough = len(x) >= _FEW_TRIALS
         owner = [
-            np.full(len(one), i) if enough else i * _BLOCKS + np.arange(len(one)) * _BLOCKS // len(one)
-            for i, one in enumerate(x)
+            np.full(len(x_value), i)
+            if enough
+            else i * _BLOCKS + np.arange(len(x_value)) * _BLOCKS // len(x_value)
+            for i, x_value in enumerate(x)
         ]
         group = np.concatenate(owner)
         names = np.unique(group)
@@ -227,16 +229,16 @@ class MlpFit(WithSettings[MlpSettings]):
         files: dict[str, str | bytes] = {}
         for name, table in settings.networks.items():
             job.note(f"training {name}")
-            one = fitted[name] = fit_network(samples, table, int(job.rng.integers(2**31)))
+            network = fitted[name] = fit_network(samples, table, int(job.rng.integers(2**31)))
             made = {
                 **origin,
                 "solver": table.solver,
                 "samples": int(np.count_nonzero(~samples.withheld)),
-                "mean_absolute_error_withheld": one.errors["withheld"],
-                "exact_affine_withheld": one.errors["affine_withheld"],
+                "mean_absolute_error_withheld": network.errors["withheld"],
+                "exact_affine_withheld": network.errors["affine_withheld"],
             }
             learned = LearnedModel(
-                one.network, samples.input_units, samples.output_units, rig, table.inverse, made
+                network.network, samples.input_units, samples.output_units, rig, table.inverse, made
             )
             files |= files_of(learned, name)
         return _summary(settings, samples, fitted, files)
@@ -267,12 +269,12 @@ def _origin_of(target: Path) -> tuple[str, dict[str, Any]]:
     run = open_run(target)
     scene = loads_experiment(run.experiment_toml, run.name, plugins=False).experiment.rig.scene
     folder = target if target.is_dir() else target.parent
-    found: dict[str, Any] = {"run": folder.resolve().name}
+    record: dict[str, Any] = {"run": folder.resolve().name}
     provenance = folder / "provenance.json"
     if provenance.is_file():
         git = json.loads(provenance.read_text(encoding="utf-8")).get("git") or {}
-        found |= {"git": str(git.get("commit", "")), "changed_files": int(git.get("changed_files", 0) or 0)}
-    return "" if scene is None else scene.plugin, found
+        record |= {"git": str(git.get("commit", "")), "changed_files": int(git.get("changed_files", 0) or 0)}
+    return "" if scene is None else scene.plugin, record
 
 
 def _factor(given: str, wanted: str, name: str) -> float:
@@ -280,12 +282,12 @@ def _factor(given: str, wanted: str, name: str) -> float:
     if not wanted or given == wanted:
         return 1.0
     sizes = {item.label: item for item in UNITS.values()}
-    one, other = sizes.get(given), sizes.get(wanted)
-    if one is None or other is None or one.dimension != other.dimension:
+    first, other = sizes.get(given), sizes.get(wanted)
+    if first is None or other is None or first.dimension != other.dimension:
         raise RequestError(
             f"{name} is recorded in {given or 'no unit'}, which is no {wanted}", hint="set unit"
         )
-    return float(one.si / other.si)
+    return float(first.si / other.si)
 
 
 def _summary(
@@ -296,16 +298,17 @@ def _summary(
 ) -> FitSummary:
     unit = settings.unit or "1"
     rows, findings = [], []
-    for name, one in fitted.items():
+    for name, learner in fitted.items():
         table = settings.networks[name]
-        trained, withheld, affine, idle = (f"{error:.4g}" for error in one.errors.values())
+        trained, withheld, affine, idle = (f"{error:.4g}" for error in learner.errors.values())
         what = f"{table.activation}, {'-'.join(map(str, table.hidden))}, {table.solver}"
         idle += f" ({'inverse alone' if table.inverse else 'the mean'})"
-        rows.append((name, what, trained, withheld, affine, idle, f"{one.took_s:.3g}"))
-        ratio = one.errors["withheld"] / one.errors["affine_withheld"]
+        rows.append((name, what, trained, withheld, affine, idle, f"{learner.took_s:.3g}"))
+        ratio = learner.errors["withheld"] / learner.errors["affine_withheld"]
         findings.append(
-            f"{name}: on withheld data {one.errors['withheld']:.3g} {unit} off on average, {ratio:.2f} of what exact "
-            f"affine least squares leaves ({one.errors['affine_withheld']:.3g} {unit}), in {one.took_s:.2g} s"
+            f"{name}: on withheld data {learner.errors['withheld']:.3g} {unit} off on average, {ratio:.2f} "
+            "of what exact "
+            f"affine least squares leaves ({learner.errors['affine_withheld']:.3g} {unit}), in {learner.took_s:.2g} s"
         )
     head = ("network", "layers", "trained", "withheld", "exact affine", "without", "training (s)")
     return FitSummary(
@@ -315,7 +318,11 @@ def _summary(
         parameters={},
         tables=(TextTable(f"mean absolute error, {unit}; {samples.told}", head, tuple(rows)),),
         findings=(*findings, _TAKEN_OVER),
-        details={"errors": {name: {**one.errors, "training_s": one.took_s} for name, one in fitted.items()}},
+        details={
+            "errors": {
+                name: {**learner.errors, "training_s": learner.took_s} for name, learner in fitted.items()
+            }
+        },
         files=files,
         figure_data=lambda: _figure(settings, samples, fitted),
     )
@@ -329,19 +336,21 @@ _TAKEN_OVER = (
 
 def _figure(settings: MlpSettings, samples: TrainingSamples, fitted: Mapping[str, Fitted]) -> FigureData:
     unit, rows = settings.unit or "1", []
-    for name, one in fitted.items():
+    for name, learner in fitted.items():
         inverse = settings.networks[name].inverse
         inputs, wanted = (part[:_SHOWN] for part in samples.beside(inverse).testing)
         time_s: FloatArray = np.arange(len(wanted), dtype=np.float64) / settings.rate_hz
         stacks = []
-        for output, measured, found in zip(settings.outputs, wanted.T, one.network(inputs).T, strict=True):
+        for output, measured, predicted in zip(
+            settings.outputs, wanted.T, learner.network(inputs).T, strict=True
+        ):
             above = Panel(
-                (Curve(time_s, measured, "measured", "withheld data"), Curve(time_s, found, "fitted", "network")),
+                (Curve(time_s, measured, "measured", "withheld data"), Curve(time_s, predicted, "fitted", "network")),
                 title=f"{name}: {output}",
                 y_label=f"{output}{' less inverse' if inverse else ''}, {unit}", height=2.0,
             )  # fmt: skip
             below = Panel(
-                (Curve(time_s, measured - found, "residual"),), x_label="time of the withheld data, s",
+                (Curve(time_s, measured - predicted, "residual"),), x_label="time of the withheld data, s",
                 y_label=f"error, {unit}", zero=True,
             )  # fmt: skip
             stacks.append(Stack((above, below)))

@@ -40,22 +40,22 @@ def term_values(term: str, signals: Mapping[str, FloatArray], step_s: float) -> 
     """
     values = np.ones(len(next(iter(signals.values()))))
     for factor in term.replace(" ", "").split("*"):
-        found = _FACTOR.fullmatch(factor)
-        if found is None:
+        match = _FACTOR.fullmatch(factor)
+        if match is None:
             raise RequestError(
                 f"a basket has a term that cannot be read: {term!r}",
                 hint="terms are like a, a', a'', a^2, a*b",
             )
-        name, primes, power = found.groups()
+        name, primes, power = match.groups()
         if name not in signals:
             raise RequestError(
                 f"a basket's term {term!r} needs {name}, which is not among the inputs",
                 hint=suggest(name, signals, kind="inputs"),
             )
-        one = signals[name]
+        signal = signals[name]
         for _ in primes:
-            one = np.gradient(one, step_s, edge_order=2)
-        values = values * one ** int(power or 1)
+            signal = np.gradient(signal, step_s, edge_order=2)
+        values = values * signal ** int(power or 1)
     return values
 
 
@@ -119,11 +119,11 @@ def collinear(matrix: FloatArray, names: Sequence[str]) -> tuple[int, list[str]]
     size = np.linalg.norm(matrix, axis=0)
     _, values, rows = np.linalg.svd(matrix / np.where(size > 0, size, 1.0), full_matrices=False)
     lost = values <= _COLLINEAR * values[0]
-    told = [
+    messages = [
         " and ".join(name for name, share in zip(names, row, strict=True) if abs(share) > 0.1)
         for row in rows[lost]
     ]
-    return int(np.count_nonzero(~lost)), told
+    return int(np.count_nonzero(~lost)), messages
 
 
 def regress(
@@ -138,8 +138,8 @@ def regress(
     groups : (n,)
         Number of the trial, or of the block of time, that a sample belongs to.
     """
-    found = solve(matrix, values)
-    fitted = matrix @ found
+    solution = solve(matrix, values)
+    fitted = matrix @ solution
     left = values - fitted
     numbers = np.unique(groups)
     folds = []
@@ -162,9 +162,9 @@ def regress(
     spare = count - free - 1
     aicc = count * np.log(max(square, 1e-300)) + 2 * free * count / spare if spare > 0 else float("inf")
     return Regression(
-        found,
-        found + np.minimum(low, 0.0),
-        found + np.maximum(high, 0.0),
+        solution,
+        solution + np.minimum(low, 0.0),
+        solution + np.maximum(high, 0.0),
         fitted,
         float(np.mean(np.abs(left))),
         float(np.sqrt(square)),
@@ -315,7 +315,7 @@ def _matrix(
         skip = _skip(trial, settings)
         if len(trial.time_s) <= skip + 2:
             raise FitError(f"{trial.label} is shorter than the delay and a cycle together")
-        kept = [trailing_mean(one[: len(one) - late], cycle)[skip - late :] for one in columns]
+        kept = [trailing_mean(column[: len(column) - late], cycle)[skip - late :] for column in columns]
         if settings.intercept:
             kept.append(np.ones(len(kept[0])))
         # one-sided differences at the ends would hide that b'' of a sine is a multiple of b
@@ -358,13 +358,19 @@ def _choice(
 
     def error(name: str) -> float:
         # each output counts by what share of its best error a basket has
-        return float(np.mean([of[name].cv / min(one.cv for one in of.values()) for of in solved.values()]))
+        return float(
+            np.mean(
+                [of[name].cv / min(regression.cv for regression in of.values()) for of in solved.values()]
+            )
+        )
 
     best = min(names, key=error)
     sound = [name for name in names if conditions[name] <= settings.largest_condition] or [
         min(names, key=lambda name: conditions[name])
     ]
-    leaders = {o: min((of[name] for name in sound), key=lambda one: one.cv) for o, of in solved.items()}
+    leaders = {
+        o: min((of[name] for name in sound), key=lambda regression: regression.cv) for o, of in solved.items()
+    }
     fit_for_it = [
         name
         for name in sound
@@ -380,19 +386,20 @@ def _summary(study: _Study) -> FitSummary:
     terms = [*settings.baskets[taken], *["1"] * settings.intercept]
     parameters, tables = {}, []
     for output, of in solved.items():
-        one, unit = of[taken], output_units[output]
-        for term, *numbers in zip(terms, one.coefficients, one.low, one.high, strict=True):
+        solution, unit = of[taken], output_units[output]
+        for term, *numbers in zip(terms, solution.coefficients, solution.low, solution.high, strict=True):
             value, low, high = map(float, numbers)
             named = unit if term == "1" else coefficient_unit(term, unit, units)
             parameters[f"{output}: {term}"] = Estimate(value, (low, high), named)
         span = float(np.max(np.abs(study.measured[output])))
         rows = tuple(
             (
-                name, f"{one.mae:.4f}", f"{100 * one.mae / span:.2f}", f"{one.cv:.4f} +- {one.cv_error:.4f}",
-                f"{one.aicc:.1f}" if np.isfinite(one.aicc) else "-", f"{study.conditions[name]:.1e}",
+                name, f"{regression.mae:.4f}", f"{100 * regression.mae / span:.2f}",
+            f"{regression.cv:.4f} +- {regression.cv_error:.4f}",
+                f"{regression.aicc:.1f}" if np.isfinite(regression.aicc) else "-", f"{study.conditions[name]:.1e}",
                 f"{study.ranks[name][0]}/{len(settings.baskets[name])}",
             )
-            for name, one in of.items()
+            for name, regression in of.items()
         )  # fmt: skip
         header = ("basket", f"MAE {unit}", "MAE %", "cross-validated", "AICc", "cond X'X", "rank")
         tables.append(TextTable(f"{output} (% of its largest magnitude, {span:.3g})", header, rows))
@@ -407,11 +414,14 @@ def _summary(study: _Study) -> FitSummary:
     )
     if whole and len(data.trials) < 5:
         warnings.append(f"intervals rest on {len(data.trials)} trials only and are coarse")
-    if settings.average == "cycle" and any(one.average == "none" for one in settings.outputs.values()):
+    if settings.average == "cycle" and any(output.average == "none" for output in settings.outputs.values()):
         warnings.append("regressors are averaged over a cycle, but not every output is")
 
     def stored(read: Callable[[Regression], Any]) -> dict[str, dict[str, Any]]:
-        return {output: {name: read(one) for name, one in of.items()} for output, of in solved.items()}
+        return {
+            output: {name: read(regression) for name, regression in of.items()}
+            for output, of in solved.items()
+        }
 
     return FitSummary(
         "least-squares",
@@ -426,9 +436,9 @@ def _summary(study: _Study) -> FitSummary:
         details={
             "taken": taken,
             "best": study.best,
-            "coefficients": stored(lambda one: one.coefficients.tolist()),
-            "intervals": stored(lambda one: [one.low.tolist(), one.high.tolist()]),
-            "mae": stored(lambda one: one.mae),
+            "coefficients": stored(lambda solution: solution.coefficients.tolist()),
+            "intervals": stored(lambda solution: [solution.low.tolist(), solution.high.tolist()]),
+            "mae": stored(lambda solution: solution.mae),
             "condition": dict(study.conditions),
         },
         figure_data=lambda: _figure(study, output_units),
@@ -437,7 +447,9 @@ def _summary(study: _Study) -> FitSummary:
 
 def _without_aicc(study: _Study) -> list[str]:
     """Say why a basket has no AICc, if so."""
-    without = [name for name, one in next(iter(study.solved.values())).items() if not np.isfinite(one.aicc)]
+    without = [
+        name for name, solution in next(iter(study.solved.values())).items() if not np.isfinite(solution.aicc)
+    ]
     if not without:
         return []
     listed = ", ".join(f"{{{name}}}" for name in without)
@@ -448,24 +460,24 @@ def _without_aicc(study: _Study) -> list[str]:
 
 def _beside_stated(study: _Study, parameters: Mapping[str, Estimate]) -> list[str]:
     """Say of every stated coefficient whether the interval holds it."""
-    told = []
+    messages = []
     for output, known in study.settings.stated.items():
         for term, value in known.items():
             estimate = parameters.get(f"{output}: {term}")
             if estimate is None:
                 continue  # of a basket that was not taken
             low, high = estimate.ci95
-            found, *ends = rounded(estimate)
-            interval = f"{found} ({' ... '.join(ends)}) {estimate.unit}"
+            text, *ends = rounded(estimate)
+            interval = f"{text} ({' ... '.join(ends)}) {estimate.unit}"
             if low <= value <= high:
-                told.append(f"{output}: {term} = {interval} agrees with the stated {value:g}")
+                messages.append(f"{output}: {term} = {interval} agrees with the stated {value:g}")
             else:
                 off = f"{100 * (estimate.value / value - 1):+.1f} %" if value else f"{estimate.value:+.3g}"
-                told.append(
+                messages.append(
                     f"{output}: {term} = {interval} does not hold the stated {value:g}: it is off by {off}, more than "
                     "trials scatter; the bench differs from the stated law, or the law is not linear in these terms"
                 )
-    return told
+    return messages
 
 
 def _reason(study: _Study) -> str:
@@ -508,7 +520,8 @@ def _figure(study: _Study, units: Mapping[str, str]) -> FigureData:
         over_time.append(Stack((upper, lower), width=1.4))
         at = np.arange(len(of), dtype=float)
         mae, cv, error = (
-            np.array([getattr(one, key) for one in of.values()]) for key in ("mae", "cv", "cv_error")
+            np.array([getattr(regression, key) for regression in of.values()])
+            for key in ("mae", "cv", "cv_error")
         )
         bars = (
             Curve(at - 0.2, mae, "measured", "MAE", kind="bars"),

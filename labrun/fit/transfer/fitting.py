@@ -66,8 +66,8 @@ class Shape:
     def denominator(self, moved: FloatArray) -> tuple[float, ...]:
         """Return the denominator, its last coefficient 1."""
         product = np.ones(1)
-        for place in range(0, self.poles - 1, 2):
-            product = np.polymul(product, [np.exp(moved[place]), np.exp(moved[place + 1]), 1.0])
+        for index in range(0, self.poles - 1, 2):
+            product = np.polymul(product, [np.exp(moved[index]), np.exp(moved[index + 1]), 1.0])
         if self.poles % 2:
             product = np.polymul(product, [np.exp(moved[self.poles - 1]), 1.0])
         return tuple(product.tolist())
@@ -82,10 +82,10 @@ class Shape:
         left = np.where(left.real == 0.0, left - 1e-3 * np.abs(left) - 1e-9, left)
         pairs = sorted(left[left.imag > 1e-12], key=abs)
         single = sorted(left[np.abs(left.imag) <= 1e-12].real, key=abs)
-        sections = [(abs(one) ** 2, -2.0 * one.real) for one in pairs]
+        sections = [(abs(pair) ** 2, -2.0 * pair.real) for pair in pairs]
         while len(single) > 1:
-            one, other = single.pop(0), single.pop(0)
-            sections.append((one * other, -one - other))
+            first, other = single.pop(0), single.pop(0)
+            sections.append((first * other, -first - other))
         point = [np.log(value) for c, b in sections for value in (1.0 / c, b / c)]
         if single:
             point.append(np.log(-1.0 / single[0]))
@@ -244,7 +244,7 @@ class CandidatePoint:
 def transfer_of(shape: Shape, numbers: FloatArray, **names: str) -> TransferFunction:
     """Return the transfer function that numbers as of `CandidatePoint.numbers` describe."""
     moved, linear = numbers[: shape.moved], numbers[shape.moved :]
-    numerator = tuple(float(one) for one in linear[: shape.zeros + 1][::-1])
+    numerator = tuple(float(coefficient) for coefficient in linear[: shape.zeros + 1][::-1])
     return TransferFunction(numerator, shape.denominator(moved), shape.dead_s(moved), **names)
 
 
@@ -279,21 +279,21 @@ def descend(
     def residuals(moved: FloatArray) -> FloatArray:
         return residuals_of(shape, trials, moved)
 
-    found = least_squares(
+    solution = least_squares(
         residuals, first, bounds=(low, high), x_scale=_scales(shape, trials), xtol=1e-9, ftol=1e-11, gtol=1e-11,
         max_nfev=evaluations,
     )  # fmt: skip
-    return min((evaluate(shape, trials, at) for at in (found.x, first)), key=lambda point: point.squares)
+    return min((evaluate(shape, trials, at) for at in (solution.x, first)), key=lambda point: point.squares)
 
 
 def bounds(shape: Shape, trials: Sequence[ResponseTrial]) -> tuple[FloatArray, FloatArray]:
     """Return the box that is searched."""
     shortest, longest = np.log(_shortest_s(trials)), np.log(_longest_s(shape, trials))
     low, high = np.full(shape.moved, shortest), np.full(shape.moved, longest)
-    for place in range(0, shape.poles - 1, 2):
-        low[place], high[place] = 2.0 * shortest, 2.0 * longest
+    for index in range(0, shape.poles - 1, 2):
+        low[index], high[index] = 2.0 * shortest, 2.0 * longest
         # a section may be damped by next to nothing
-        low[place + 1] -= 3.0 * np.log(10.0)
+        low[index + 1] -= 3.0 * np.log(10.0)
     if shape.dead_time:
         low[-1], high[-1] = 0.0, _MOST_DEAD * total_s(trials)
     return low, high
@@ -314,19 +314,22 @@ def derivatives(point: CandidatePoint, trials: Sequence[ResponseTrial]) -> list[
     """Return d(simulated)/d(numbers) of every trial's used samples, offsets and initial states eliminated."""
     shape = point.shape
     moving = []
-    for place, scale in enumerate(_scales(shape, trials)):
+    for index, scale in enumerate(_scales(shape, trials)):
         ahead, behind, width = point.moved.copy(), point.moved.copy(), _STEP * scale
-        at_bound = shape.dead_time and place == shape.poles and point.moved[place] < width
-        ahead[place] += width
-        behind[place] -= 0.0 if at_bound else width
+        at_bound = shape.dead_time and index == shape.poles and point.moved[index] < width
+        ahead[index] += width
+        behind[index] -= 0.0 if at_bound else width
         sides = [replace(point, moved=moved).simulated(trials) for moved in (ahead, behind)]
-        moving.append([(a - b) / (ahead[place] - behind[place]) for a, b in zip(*sides, strict=True)])
+        moving.append([(a - b) / (ahead[index] - behind[index]) for a, b in zip(*sides, strict=True)])
     answers = Answers(shape, point.moved)
-    found = []
+    filtered = []
     for index, trial in enumerate(trials):
-        columns = [*(one[index][trial.used] for one in moving), answers.shared(trial)[trial.used]]
-        found.append(without(np.column_stack(columns), answers.span(trial)))
-    return found
+        columns = [
+            *(derivative[index][trial.used] for derivative in moving),
+            answers.shared(trial)[trial.used],
+        ]
+        filtered.append(without(np.column_stack(columns), answers.span(trial)))
+    return filtered
 
 
 def _scales(shape: Shape, trials: Sequence[ResponseTrial]) -> FloatArray:
@@ -403,11 +406,11 @@ class TransferFit:
         if not self.shape.is_first_order:
             return False
         longest_s = (1.0 - _AT_BOUND) * _longest_s(self.shape, self.trials)
-        return float(np.percentile([one.lag_s for one in self.resampled], 97.5)) >= longest_s
+        return float(np.percentile([transfer.lag_s for transfer in self.resampled], 97.5)) >= longest_s
 
     def estimate(self, quantity: Callable[[TransferFunction], float], unit: str) -> Estimate:
         """Return any quantity of the transfer function with its 95 % interval."""
-        values = [quantity(one) for one in self.resampled]
+        values = [quantity(function) for function in self.resampled]
         value = quantity(self.transfer)
         low, high = np.percentile(values, [2.5, 97.5])
         return Estimate(value, (min(float(low), value), max(float(high), value)), unit)
@@ -488,7 +491,7 @@ def best_fit(
         squares = float(left @ left)
         if np.isfinite(squares):
             rated.append((squares, len(rated), inside))
-    rated.sort(key=lambda one: one[:2])
+    rated.sort(key=lambda pair: pair[:2])
     ends = [descend(shape, trials, moved) for _, _, moved in rated[: max(starts, 1)]]
     ends += [descend(shape, trials, start) for start in near]
     return min(ends, key=lambda end: end.squares)
@@ -510,18 +513,18 @@ def _require(shape: Shape, trials: Sequence[ResponseTrial]) -> None:
 def _candidates(shape: Shape, trials: Sequence[ResponseTrial]) -> list[FloatArray]:
     step_s = min(trial.step_s for trial in trials)
     slowest = total_s(trials) / 3.0
-    found = []
+    candidates = []
     for lag_s in np.geomspace(min(2.0 * step_s, slowest), slowest, _SPEEDS):
         for dead_s in (share * lag_s for share in (_DEADS if shape.dead_time else (0.0,))):
             poles = np.full(shape.poles, -1.0 / lag_s, dtype=complex)
-            found.append(shape.at(poles, dead_s))
+            candidates.append(shape.at(poles, dead_s))
             for _ in range(_REFINED if shape.poles > 1 else 0):
                 refined = _filtered_least_squares(shape, trials, poles, dead_s)
                 if refined is None:
                     break
                 poles = refined
-                found.append(shape.at(poles, dead_s))
-    return found
+                candidates.append(shape.at(poles, dead_s))
+    return candidates
 
 
 def _filtered_least_squares(
@@ -565,10 +568,10 @@ def compare_orders(fit: TransferFit, name: str) -> tuple[TextTable, list[str]]:
         other: fit.point.squares
         if other == shape
         else best_fit(other, fit.trials, starts=2, near=_near(fit, other)).squares
-        for other in sorted(shapes, key=lambda one: (one.poles, one.zeros))
+        for other in sorted(shapes, key=lambda order: (order.poles, order.zeros))
     }
     missed = unconverged(squares)
-    rows, said = [], []
+    rows, messages = [], []
     for other, left in squares.items():
         rms = float(np.sqrt(left / count))
         aic = effective * float(np.log(max(left, 1e-300) / count)) + 2.0 * other.size
@@ -576,7 +579,7 @@ def compare_orders(fit: TransferFit, name: str) -> tuple[TextTable, list[str]]:
         last = "did not converge" if other in missed else f"{aic:.1f}"
         rows.append((f"{other.poles}{mark}", str(other.zeros), f"{rms:.4g}", last))
         if other == shape and other in missed:
-            said.append(
+            messages.append(
                 f"{name}: this order left more than a smaller one, which it contains: its fit did not converge; "
                 "take the smaller one (poles, zeros)"
             )
@@ -584,20 +587,22 @@ def compare_orders(fit: TransferFit, name: str) -> tuple[TextTable, list[str]]:
             fall = 1.0 - np.sqrt(left / max(fit.point.squares, 1e-300))
             what = "a pole more" if other.poles > shape.poles else "a zero more"
             verdict = "not worth it" if fall < _WORTH else "worth a try"
-            said.append(f"{name}: {what} would lower the error by {100 * max(fall, 0.0):.2g} %: {verdict}")
+            messages.append(
+                f"{name}: {what} would lower the error by {100 * max(fall, 0.0):.2g} %: {verdict}"
+            )
     header = ("poles", "zeros", f"RMS, {fit.transfer.output_unit}", "AIC")
-    return TextTable(f"{name}: other orders", header, tuple(rows)), said
+    return TextTable(f"{name}: other orders", header, tuple(rows)), messages
 
 
 def unconverged(squares: Mapping[Shape, float]) -> set[Shape]:
     """Return the orders that left more, as a sum of squares, than a smaller one that they contain."""
     return {
-        one
-        for one, left in squares.items()
+        name
+        for name, left in squares.items()
         for other, less in squares.items()
-        if (other.poles, other.zeros) != (one.poles, one.zeros)
-        and other.poles <= one.poles
-        and other.zeros <= one.zeros
+        if (other.poles, other.zeros) != (name.poles, name.zeros)
+        and other.poles <= name.poles
+        and other.zeros <= name.zeros
         and left > less * (1.0 + _ROUNDING) ** 2
     }
 

@@ -70,20 +70,20 @@ def summarise(
     """Return the result of a fit of one or more responses."""
     estimates: dict[str, dict[str, Estimate]] = {}
     written = {}
-    said = list(findings)
+    messages = list(findings)
     warned: list[str] = []
     for name, fit in fits.items():
         mine = _estimates(fit)
         estimates[name] = {f"{name}_{key}": estimate for key, estimate in mine.items()}
         table = fit.transfer.to_table()
         keys = {"gain": "gain", "lag": "lag_s", "dead_time": "dead_s"}
-        table |= {f"{keys[key]}_ci95": list(one.ci95) for key, one in mine.items() if key in keys}
+        table |= {f"{keys[key]}_ci95": list(estimate.ci95) for key, estimate in mine.items() if key in keys}
         written[name] = table
-        said.append(f"{name} = {fit.transfer}")
-        said += leftovers(fit, name, fit.transfer.output_unit)
+        messages.append(f"{name} = {fit.transfer}")
+        messages += leftovers(fit, name, fit.transfer.output_unit)
         warned += warnings_of(fit, name)
         if any(trial.averaged > 1 for trial in fit.trials):
-            said.append(
+            messages.append(
                 f"{name}: the output was averaged over the gait cycle, and so was the fitted answer: gain, lag and "
                 "dead time are the plant's, without the average"
             )
@@ -93,14 +93,14 @@ def summarise(
         method,
         method,
         FittedData(signals.name, signals.kind, count, signals.left_out),
-        {key: one for mine in estimates.values() for key, one in mine.items()},
+        {key: estimate for mine in estimates.values() for key, estimate in mine.items()},
         rmse={name: fit.rmse for name, fit in fits.items()},
         rmse_units={name: fit.transfer.output_unit for name, fit in fits.items()},
         tables=(
             *(_roots(name, fit) for name, fit in fits.items() if not fit.transfer.is_first_order),
             *tables,
         ),
-        findings=tuple(said),
+        findings=tuple(messages),
         warnings=tuple(warned),
         details={"transfer": written},
         files={f"{method}.toml": f"# labrun fit: {title}\n\n{tomli_w.dumps(written)}"},
@@ -113,19 +113,19 @@ def summarise(
 
 def _estimates(fit: TransferFit) -> dict[str, Estimate]:
     unit, first_order = fit.transfer.gain_unit, fit.transfer.is_first_order
-    found = {"gain": fit.estimate(lambda one: one.gain, unit)}
+    estimates = {"gain": fit.estimate(lambda transfer: transfer.gain, unit)}
     if first_order:
-        found["lag"] = fit.estimate(lambda one: one.lag_s, "s")
+        estimates["lag"] = fit.estimate(lambda transfer: transfer.lag_s, "s")
     if fit.lag_is_open:
-        found = {key: _open_ended(one) for key, one in found.items()}
-        found["gain_over_lag"] = _gain_over_lag(fit)
+        estimates = {key: _open_ended(estimate) for key, estimate in estimates.items()}
+        estimates["gain_over_lag"] = _gain_over_lag(fit)
     for letter, above, most in (("b", f"{unit} ", fit.shape.zeros), ("a", "", fit.shape.poles)):
         for power in range(1, 0 if first_order else most + 1):
             seconds = "s" if power == 1 else f"s^{power}"
-            found[f"{letter}{power}"] = fit.estimate(_coefficient(letter, power), above + seconds)
+            estimates[f"{letter}{power}"] = fit.estimate(_coefficient(letter, power), above + seconds)
     if fit.shape.dead_time:
-        found["dead_time"] = fit.estimate(lambda one: one.dead_s, "s")
-    return found
+        estimates["dead_time"] = fit.estimate(lambda transfer: transfer.dead_s, "s")
+    return estimates
 
 
 def _open_ended(estimate: Estimate) -> Estimate:
@@ -136,14 +136,14 @@ def _open_ended(estimate: Estimate) -> Estimate:
 
 def _gain_over_lag(fit: TransferFit) -> Estimate:
     """Return the slope of the answer to a unit step, which a record much shorter than the lag does tell."""
-    return fit.estimate(lambda one: one.gain / one.lag_s, f"{fit.transfer.gain_unit}/s")
+    return fit.estimate(lambda transfer: transfer.gain / transfer.lag_s, f"{fit.transfer.gain_unit}/s")
 
 
 def _coefficient(letter: str, power: int) -> Callable[[TransferFunction], float]:
     """Return what reads a coefficient of numerator ("b") or denominator ("a"); those it does not have are 0."""
 
-    def read(one: TransferFunction) -> float:
-        row = one.numerator if letter == "b" else one.denominator
+    def read(transfer: TransferFunction) -> float:
+        row = transfer.numerator if letter == "b" else transfer.denominator
         return row[-1 - power] if len(row) > power else 0.0
 
     return read
@@ -153,8 +153,10 @@ def _roots(name: str, fit: TransferFit) -> TextTable:
     rows = []
     for kind, roots in (("pole", fit.transfer.poles), ("zero", fit.transfer.zeros)):
         for root in roots[roots.imag >= 0]:
-            size, told = abs(root), f"{root.real:.4g}" + (f" ± {root.imag:.4g}j" if root.imag else "")
-            rows.append((kind, told, f"{size / (2 * np.pi):.4g}", f"{-root.real / size:.3g}" if size else ""))
+            size, message = abs(root), f"{root.real:.4g}" + (f" ± {root.imag:.4g}j" if root.imag else "")
+            rows.append(
+                (kind, message, f"{size / (2 * np.pi):.4g}", f"{-root.real / size:.3g}" if size else "")
+            )
     return TextTable(f"{name}: poles and zeros", ("", "rad/s", "Hz", "damping ratio"), tuple(rows))
 
 
@@ -162,7 +164,7 @@ def leftovers(fit: TransferFit, name: str, unit: str) -> list[str]:
     """Return in words how large the residual is, whether it is white, and whether it still follows the input."""
     residuals = fit.residuals()
     measured = [trial.measured[trial.used] for trial in fit.trials]
-    spread = np.sqrt(np.mean(np.concatenate([one - np.mean(one) for one in measured]) ** 2))
+    spread = np.sqrt(np.mean(np.concatenate([values - np.mean(values) for values in measured]) ** 2))
     share = 100.0 * fit.rmse / spread if spread > 0 else 0.0
     length = correlation_length(residuals)
     white = "neighbouring samples of it are unrelated (white)"
@@ -186,61 +188,63 @@ def leftovers(fit: TransferFit, name: str, unit: str) -> list[str]:
 
 def warnings_of(fit: TransferFit, name: str) -> list[str]:
     """Return what to know before trusting the numbers."""
-    said, step_s, poles = [], fit.trials[0].step_s, fit.shape.poles
+    messages, step_s, poles = [], fit.trials[0].step_s, fit.shape.poles
     if fit.blocks:
-        said.append(f"one trial: intervals rest on {fit.blocks} parts of it, not on independent repeats")
+        messages.append(f"one trial: intervals rest on {fit.blocks} parts of it, not on independent repeats")
     elif len(fit.trials) < 4:
-        said.append(f"only {len(fit.trials)} trials: the intervals rest on their differences, and are wide")
+        messages.append(
+            f"only {len(fit.trials)} trials: the intervals rest on their differences, and are wide"
+        )
     if fit.shape.dead_time and fit.transfer.dead_s < step_s:
-        said.append(
+        messages.append(
             f"the dead time is below a sample ({step_s:.2g} s): it cannot be told from none at this rate"
         )
     for pole in fit.transfer.poles:
         slow_s = 1.0 / max(abs(pole), 1e-300)
         if slow_s < step_s:
-            said.append(
+            messages.append(
                 f"a time constant of {slow_s:.2g} s is below a sample ({step_s:.2g} s): not determined, and "
                 "the intervals of the coefficients hold for this one only; fit a pole less"
             )
-        said += [
+        messages += [
             f"a pole and a zero nearly cancel at {abs(pole):.3g} rad/s: one of each fewer fits as well"
             for zero in fit.transfer.zeros
             if abs(pole - zero) < _CLOSE * abs(pole)
         ]
-    said += _bounds_reached(fit)
+    messages += _bounds_reached(fit)
     if not fit.lag_is_open and np.any(np.std(fit.draws, axis=0)[:poles] > 1.0):
-        said.append(
+        messages.append(
             f"the data do not determine {poles} poles: a coefficient of the denominator varies by "
             "more than its value between resamples; record a faster input, more trials, or fit fewer poles"
             if poles > 1
             else "the data do not determine the lag: it varies by more than its value between resamples; "
             "record a faster input, or more trials"
         )
-    return [f"{name}: {one}" for one in said + _told_apart(fit)]
+    return [f"{name}: {message}" for message in messages + _told_apart(fit)]
 
 
 def _bounds_reached(fit: TransferFit) -> list[str]:
     """Return a warning for each number that the record bounds on one side only."""
-    said, reached, poles = [], fit.upper_bounds_reached, fit.shape.poles
+    messages, reached, poles = [], fit.upper_bounds_reached, fit.shape.poles
     if fit.lag_is_open:
-        least = fit.estimate(lambda one: one.lag_s, "s").ci95[0]
+        least = fit.estimate(lambda transfer: transfer.lag_s, "s").ci95[0]
         slope, low, high = rounded(_gain_over_lag(fit))
-        said.append(
+        messages.append(
             f"the record is too short to tell the lag: {fit.record_s:.3g} s tell that it is at least {least:.3g} s; "
             f"gain/lag = {slope} ({low} ... {high}) {fit.transfer.gain_unit}/s is what it tells; record longer after "
             "the step"
         )
     elif np.any(reached[:poles]):
-        said.append(
+        messages.append(
             f"a coefficient of the denominator ended at its upper bound: the record of {fit.record_s:.3g} s is too "
             "short to tell the slowest time constant; record longer, or fit a pole less"
         )
     if fit.shape.dead_time and reached[poles]:
-        said.append(
+        messages.append(
             f"the dead time ended at its upper bound of {fit.transfer.dead_s:.3g} s, a share of the record's "
             f"{fit.record_s:.3g} s: record longer, or check that this output answers this input"
         )
-    return said
+    return messages
 
 
 def _told_apart(fit: TransferFit) -> list[str]:
@@ -263,7 +267,7 @@ def _input_correlation(fit: TransferFit, residuals: list[FloatArray], length: fl
     total = np.zeros(_LAGS)
     inputs = outputs = 0.0
     for trial, residual in zip(fit.trials, residuals, strict=True):
-        given, rest = (one - np.mean(one) for one in (trial.given[trial.used], residual))
+        given, rest = (values - np.mean(values) for values in (trial.given[trial.used], residual))
         for lag in range(min(_LAGS, len(rest) // 2)):
             total[lag] += rest[lag:] @ given[: len(given) - lag]
         inputs += float(given @ given)
@@ -271,7 +275,7 @@ def _input_correlation(fit: TransferFit, residuals: list[FloatArray], length: fl
     if inputs == 0.0 or outputs == 0.0:
         return 0.0, 0.0
     largest = float(np.max(np.abs(total)) / np.sqrt(inputs * outputs))
-    count = sum(len(one) for one in residuals)
+    count = sum(len(residual) for residual in residuals)
     return largest, float(min(3.5 * np.sqrt(max(length, 1.0) / count), 1.0))
 
 
@@ -499,9 +503,9 @@ class TransferFunctionFit(WithSettings[TransferFunctionSettings]):
         tables, findings = [], []
         for name, fit in fits.items() if chosen.compare else ():
             job.note(f"comparing other orders for {name}")
-            compared, told = compare_orders(fit, name)
+            compared, messages = compare_orders(fit, name)
             tables.append(compared)
-            findings += told
+            findings += messages
         return summarise("transfer-function", fits, signals, tables=tables, findings=findings)
 
     def _responses(self, job: FitJob) -> dict[str, ResponseTable]:

@@ -141,13 +141,13 @@ class StateSpace:
         drive = np.outer(values[:-1], by_input) + np.outer(following - values[:-1], by_growth)
         turned = drive @ basis.conj()
         first = basis.conj().T @ start
-        found = np.empty((len(values), self.size), dtype=complex)
+        result = np.empty((len(values), self.size), dtype=complex)
         for row in range(self.size - 1, -1, -1):
-            pushed = turned[:, row] + found[:-1, row + 1 :] @ triangle[row, row + 1 :]
+            pushed = turned[:, row] + result[:-1, row + 1 :] @ triangle[row, row + 1 :]
             pole = triangle[row, row]
-            found[0, row] = first[row]
-            found[1:, row] = lfilter([1.0], [1.0, -pole], pushed, zi=[pole * first[row]])[0]
-        return np.asarray((found @ basis.T).real)
+            result[0, row] = first[row]
+            result[1:, row] = lfilter([1.0], [1.0, -pole], pushed, zi=[pole * first[row]])[0]
+        return np.asarray((result @ basis.T).real)
 
     def later(
         self, states: FloatArray, values: FloatArray, following: FloatArray, part_s: float
@@ -203,7 +203,9 @@ class TransferFunction:
     output_unit: str = "1"
 
     def __post_init__(self) -> None:
-        numerator, denominator = (_without_leading_zeros(one) for one in (self.numerator, self.denominator))
+        numerator, denominator = (
+            _without_leading_zeros(coefficients) for coefficients in (self.numerator, self.denominator)
+        )
         if not np.all(np.isfinite([*numerator, *denominator, self.dead_s])):
             raise RequestError(
                 f"a transfer function needs finite numbers: {numerator} / {denominator}, {self.dead_s} s"
@@ -329,7 +331,7 @@ class TransferFunction:
         """
         data = parsed(text, name)
         table, path = response_table(data, name, response)
-        stated = {key: one for key, one in table.items() if not key.endswith(_INTERVAL)}
+        stated = {key: value for key, value in table.items() if not key.endswith(_INTERVAL)}
         keys, faults = validate(NamedTransferTable, stated, path)
         if keys is None:
             raise refusal(RequestError, name, Places(name, text, data).of_all(faults))
@@ -349,15 +351,15 @@ class TransferFunction:
 
 
 def _without_leading_zeros(coefficients: Sequence[float]) -> tuple[float, ...]:
-    kept = [float(one) for one in coefficients]
+    kept = [float(coefficient) for coefficient in coefficients]
     while len(kept) > 1 and kept[0] == 0.0:
         del kept[0]
     return tuple(kept) or (0.0,)
 
 
 def _sorted(roots: NDArray[Any]) -> ComplexArray:
-    found = np.asarray(roots, dtype=complex)
-    return found[np.lexsort((found.imag, np.abs(found).round(12)))]
+    complex_roots = np.asarray(roots, dtype=complex)
+    return complex_roots[np.lexsort((complex_roots.imag, np.abs(complex_roots).round(12)))]
 
 
 def _polynomial(coefficients: tuple[float, ...]) -> str:

@@ -106,11 +106,11 @@ class ControllerDesign:
 
     def over(self, loops: Sequence[OpenLoop]) -> Spread:
         """Return how the margins vary over loops around other plants."""
-        found = [margins(self.gains, loop) for loop in loops]
-        gain = np.array([one.gain if one.stable else min(one.gain, 1.0) for one in found])
-        phase = np.array([one.phase_deg if one.stable else 0.0 for one in found])
-        unstable = float(np.mean([not one.stable for one in found]))
-        return Spread(_interval(gain), _interval(phase), unstable, len(found))
+        loop_margins = [margins(self.gains, loop) for loop in loops]
+        gain = np.array([m.gain if m.stable else min(m.gain, 1.0) for m in loop_margins])
+        phase = np.array([m.phase_deg if m.stable else 0.0 for m in loop_margins])
+        unstable = float(np.mean([not m.stable for m in loop_margins]))
+        return Spread(_interval(gain), _interval(phase), unstable, len(loop_margins))
 
     def errors(
         self, reference: HalfSineSettings, bounds: tuple[float, float], factors: Sequence[float]
@@ -119,12 +119,12 @@ class ControllerDesign:
 
         `factors`: the plant's gain over the one that the controller was made for; the errors are by them.
         """
-        found = {}
+        errors = {}
         for factor in factors:
             track = self.follow(reference, bounds, factor)
             first, second = np.split(np.abs(track.reference - track.output), [len(track.time_s) // 2])
-            found[factor] = (float(np.mean(first)), float(np.mean(second)))
-        return found
+            errors[factor] = (float(np.mean(first)), float(np.mean(second)))
+        return errors
 
     def follow(
         self, reference: HalfSineSettings, bounds: tuple[float, float], factor: float = 1.0
@@ -145,18 +145,19 @@ class ControllerDesign:
 
 def as_json(design: ControllerDesign, rate_hz: float) -> Mapping[str, object]:
     """Return a design's numbers, JSON-ready; None for what is infinite."""
-    gains, found, figures = design.gains, design.margins, design.figures
+    gains, design_margins, figures = design.gains, design.margins, design.figures
     numbers = {
         "p": gains.p, "i_per_s": gains.i_per_s, "i_per_sample": gains.i_per_sample(rate_hz), "d_s": gains.d_s,
-        "filter_s": gains.filter_s, "gain_margin": found.gain, "phase_margin_deg": found.phase_deg,
-        "delay_margin_s": found.delay_s, "max_sensitivity": found.sensitivity,
-        "crossover_rad_s": found.crossover_rad_s, "phase_crossover_rad_s": found.phase_crossover_rad_s,
+        "filter_s": gains.filter_s, "gain_margin": design_margins.gain, "phase_margin_deg": design_margins.phase_deg,
+        "delay_margin_s": design_margins.delay_s, "max_sensitivity": design_margins.sensitivity,
+        "crossover_rad_s": design_margins.crossover_rad_s,
+        "phase_crossover_rad_s": design_margins.phase_crossover_rad_s,
         **asdict(figures), "noise_gain": design.noise_gain,
     }  # fmt: skip
     return {
         "structure": design.structure,
         "source": design.source,
-        "stable": found.stable,
+        "stable": design_margins.stable,
         "feedforward": gains.feedforward,
         **{name: float(value) if np.isfinite(value) else None for name, value in numbers.items()},
     }
@@ -183,19 +184,19 @@ def design_all(loop: OpenLoop, settings: PidFitSettings) -> tuple[list[Controlle
             warnings.append(f"no {structure} by {rule}: {error.args[0]}")
     if not designs and warnings:
         raise FitError("\n".join(warnings), hint='try method = "optimum", or smaller margins')
-    designs.sort(key=lambda one: one.gains.feedforward is not None)
+    designs.sort(key=lambda design: design.gains.feedforward is not None)
     return designs + given(loop, settings.compare, settings.lead_s), warnings
 
 
 def given(loop: OpenLoop, tables: Mapping[str, GivenTable], lead_s: float) -> list[ControllerDesign]:
     """Return gains that were written down as designs."""
-    found = []
+    designs = []
     for name, keys in tables.items():
         per_s = keys.i * (1.0 if keys.i_per == "second" else 1.0 / loop.step_s)
         filter_s = _DEFAULT_FILTER_STEPS * loop.step_s if keys.filter_s is None else keys.filter_s
         ahead = (1.0 / loop.gain, lead_s) if keys.feedforward else (None, 0.0)
-        found.append(ControllerDesign(name, "given", Gains(keys.p, per_s, keys.d, filter_s, *ahead), loop))
-    return found
+        designs.append(ControllerDesign(name, "given", Gains(keys.p, per_s, keys.d, filter_s, *ahead), loop))
+    return designs
 
 
 def _of(loop: OpenLoop, settings: PidFitSettings, structure: Structure, rule: str) -> list[ControllerDesign]:
@@ -225,12 +226,16 @@ def controllers_toml(
     Designs only: what was given stands in an experiment already, and what is unstable should stand in none.
     """
     lines = [f"# {line}".rstrip() for line in heading.splitlines()]
-    stable = [one for one in designs if one.margins.stable and one.source != "given"]
-    for design in sorted(stable, key=lambda one: one.name != best):
-        found = design.margins
-        phase = f"phase margin {found.phase_deg:.0f} deg" if found.phase_deg < 1e3 else "loop gain below 1"
+    stable = [design for design in designs if design.margins.stable and design.source != "given"]
+    for design in sorted(stable, key=lambda candidate: candidate.name != best):
+        design_margins = design.margins
+        phase = (
+            f"phase margin {design_margins.phase_deg:.0f} deg"
+            if design_margins.phase_deg < 1e3
+            else "loop gain below 1"
+        )
         head = "recommended: " if design.name == best else ""
-        lines += ["", f"# {head}{design.structure}, gain margin {found.gain:.2f}, {phase}"]
+        lines += ["", f"# {head}{design.structure}, gain margin {design_margins.gain:.2f}, {phase}"]
         nested = {"controllers": {design.name: controller_table(design, i_per)}}
         lines.append(tomli_w.dumps({"track": {"loops": {loop_name: nested}}}).rstrip())
     return "\n".join(lines) + "\n"
@@ -247,9 +252,9 @@ def controller_table(design: ControllerDesign, i_per: str) -> dict[str, Any]:
 
 def _rounded(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _rounded(one) for key, one in value.items()}
+        return {key: _rounded(number) for key, number in value.items()}
     if isinstance(value, list):
-        return [_rounded(one) for one in value]
+        return [_rounded(number) for number in value]
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, int | float) else value
 
 
@@ -299,7 +304,7 @@ class Study:
 
     def named(self, name: str) -> ControllerDesign:
         """Return a design."""
-        return next(one for one in self.designs if one.name == name)
+        return next(design for design in self.designs if design.name == name)
 
 
 def study(
@@ -312,17 +317,19 @@ def study(
     """
     loop = OpenLoop(plant, settings.rate_hz, settings.compute_s, average_s)
     designs, warnings = design_all(loop, settings)
-    around = [replace(loop, plant=one) for one in plants]
-    spreads = {one.name: one.over(around) for one in designs} if around else {}
-    stable = [one for one in designs if one.margins.stable]
+    around = [replace(loop, plant=transfer) for transfer in plants]
+    spreads = {design.name: design.over(around) for design in designs} if around else {}
+    stable = [design for design in designs if design.margins.stable]
     reference, off, errors, scores = settings.reference, settings.gain_error, dict[str, Errors](), {}
     factors = (1.0 - off, 1.0, 1.0 + off) if off else (1.0,)
-    for one in stable:
+    for design in stable:
         if reference is None:
-            scores[one.name] = loop_error(loop, one.gains, settings)
+            scores[design.name] = loop_error(loop, design.gains, settings)
         else:
-            errors[one.name] = one.errors(reference, settings.range or UNBOUNDED, factors)
-            scores[one.name] = max(0.5 * (first + second) for first, second in errors[one.name].values())
+            errors[design.name] = design.errors(reference, settings.range or UNBOUNDED, factors)
+            scores[design.name] = max(
+                0.5 * (first + second) for first, second in errors[design.name].values()
+            )
     best = _best(stable, spreads, scores, settings)
     return Study(settings, loop, tuple(designs), spreads, errors, scores, best, tuple(warnings))
 
@@ -339,15 +346,15 @@ def _best(
     settings: PidFitSettings,
 ) -> str | None:
     fit = [
-        one
-        for one in stable
-        if one.source != "given"
-        and keeps(one.gains, one.loop, settings)
-        and not (one.name in spreads and lost(spreads[one.name]))
-        and (settings.reference is not None or one.figures.overshoot <= MOST_OVERSHOOT)
+        design
+        for design in stable
+        if design.source != "given"
+        and keeps(design.gains, design.loop, settings)
+        and not (design.name in spreads and lost(spreads[design.name]))
+        and (settings.reference is not None or design.figures.overshoot <= MOST_OVERSHOOT)
     ]
     if not fit:
         return None
-    least = min(scores[one.name] for one in fit)
-    near = [one for one in fit if scores[one.name] <= _NEARLY * least]
-    return min(near, key=lambda one: (one.noise_gain, scores[one.name])).name
+    least = min(scores[design.name] for design in fit)
+    near = [design for design in fit if scores[design.name] <= _NEARLY * least]
+    return min(near, key=lambda design: (design.noise_gain, scores[design.name])).name

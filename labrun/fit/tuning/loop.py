@@ -354,8 +354,8 @@ def ultimate(loop: OpenLoop) -> tuple[float, float]:
 
     The gain has the sign that the plant's static gain asks for; both are inf if no gain does it.
     """
-    found = margins(Gains(math.copysign(1.0, loop.gain)), loop)
-    return math.copysign(found.gain, loop.gain), found.phase_crossover_rad_s
+    loop_margins = margins(Gains(math.copysign(1.0, loop.gain)), loop)
+    return math.copysign(loop_margins.gain, loop.gain), loop_margins.phase_crossover_rad_s
 
 
 def allowed_gain(

@@ -104,18 +104,18 @@ def plant_of(fitted: FitSummary, response: str | None, resamples: int) -> Fitted
         hint = suggest(name, names, kind="fitted responses")
         raise RequestError(f"no response {name!r} was fitted", hint=hint)
     # warnings that begin with another response say nothing about this one
-    others = tuple(f"{one}:" for one in names if one != name)
-    told = [one for one in fitted.warnings if not one.startswith(others)]
+    others = tuple(f"{other}:" for other in names if other != name)
+    messages = [warning for warning in fitted.warnings if not warning.startswith(others)]
     # those that can be controlled: their numbers belong together
     resampled = fitted.resampled.get(name, ())
-    plants = [one for one in resampled if one.is_stable and one.gain and one.dead_s >= 0]
+    plants = [plant for plant in resampled if plant.is_stable and plant.gain and plant.dead_s >= 0]
     if not plants:
-        told.append(
+        messages.append(
             "the fit gives no resampled plants that settle: margins are those of the fitted plant only"
         )
     return FittedPlant(
         name, fitted.transfers[name], fitted.data, tuple(plants[:resamples]), fitted.estimates.get(name, {}),
-        tuple(told), fitted.rmse.get(name),
+        tuple(messages), fitted.rmse.get(name),
     )  # fmt: skip
 
 
@@ -123,7 +123,7 @@ def cycle_of(job: FitJob) -> float | None:
     """Return the length of the gait's cycle in a run's trials, s; None if it has none or they differ."""
     if is_recording(job.target):
         return None
-    values = sorted({one.period_s for one in open_run(job.target).outcomes if one.period_s})
+    values = sorted({outcome.period_s for outcome in open_run(job.target).outcomes if outcome.period_s})
     return values[0] if values and values[-1] <= values[0] * (1 + 1e-6) else None
 
 
@@ -142,9 +142,9 @@ def averaged_over(job: FitJob, settings: PidFitSettings) -> float:
     return cycle_s
 
 
-def summary(plant: FittedPlant, found: Study) -> FitSummary:
+def summary(plant: FittedPlant, result: Study) -> FitSummary:
     """Return what is printed and stored."""
-    settings, loop, transfer = found.settings, found.loop, plant.transfer
+    settings, loop, transfer = result.settings, result.loop, plant.transfer
     rate_hz = settings.rate_hz
     details: dict[str, Any] = {
         "response": plant.response,
@@ -160,30 +160,30 @@ def summary(plant: FittedPlant, found: Study) -> FitSummary:
             "average_s": loop.average_s,
             "effective_dead_s": loop.delay_s,
         },
-        "recommended": found.best,
-        "designs": {one.name: as_json(one, rate_hz) for one in found.designs},
+        "recommended": result.best,
+        "designs": {design.name: as_json(design, rate_hz) for design in result.designs},
         "spreads": {
             name: {
                 "gain_margin_ci95": finite(spread.gain),
                 "phase_margin_deg_ci95": finite(spread.phase_deg),
                 "unstable_share": spread.unstable_share,
             }
-            for name, spread in found.spreads.items()
+            for name, spread in result.spreads.items()
         },
         "tracking": {
             name: {f"{factor:g}": list(pair) for factor, pair in errors.items()}
-            for name, errors in found.errors.items()
+            for name, errors in result.errors.items()
         },
     }
     over = f" over {loop.average_s:.4g} s" if loop.average_s else ""
     heading = (
         f"Controllers for {plant.response}, designed on {transfer}, fitted to {plant.data.name}.\n"
         f"For a loop at {rate_hz:g} Hz with feedback {settings.feedback}{over}; "
-        f"gains in {words.drive_per_output(found)}."
+        f"gains in {words.drive_per_output(result)}."
     )
     feedback = f"mean over {loop.average_s:.3g} s" if loop.average_s else "latest sample"
     title = f"Controllers for {plant.response} of {plant.data.name}\nat {rate_hz:g} Hz, feedback: {feedback}"
-    title += f"; * recommended: {found.best}" if found.best else ""
+    title += f"; * recommended: {result.best}" if result.best else ""
     loop_name = _LOOP_NAMES.get(plant.response, plant.response)
     return FitSummary(
         method="pid",
@@ -192,10 +192,10 @@ def summary(plant: FittedPlant, found: Study) -> FitSummary:
         parameters=plant.parameters,
         rmse={} if plant.rmse is None else {plant.response: plant.rmse},
         rmse_units={plant.response: transfer.output_unit},
-        tables=words.tables(found),
-        findings=tuple(words.findings(found)),
-        warnings=(*plant.warnings, *words.warnings(found)),
+        tables=words.tables(result),
+        findings=tuple(words.findings(result)),
+        warnings=(*plant.warnings, *words.warnings(result)),
         details=details,
-        files={"pid.toml": controllers_toml(found.designs, found.best, settings.i_per, loop_name, heading)},
-        figure_data=lambda: words.design_figure(found, title),
+        files={"pid.toml": controllers_toml(result.designs, result.best, settings.i_per, loop_name, heading)},
+        figure_data=lambda: words.design_figure(result, title),
     )

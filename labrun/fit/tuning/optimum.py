@@ -65,15 +65,15 @@ def optimum(
     best: tuple[float, FloatArray] | None = None
     for integral, share in _STARTS[: 1 if structure == "P" else None]:
         start = np.array([share, math.log(integral), math.log(0.15)][:size])
-        found = minimize(  # type: ignore[call-overload]
+        solution = minimize(  # type: ignore[call-overload]
             lambda x: error(error.gains(x)),
             start,
             method="Nelder-Mead",
             bounds=bounds,
             options={"xatol": 1e-3, "fatol": 1e-5, "maxfev": 120 * size, "initial_simplex": _simplex(start)},
         )
-        if best is None or found.fun < best[0]:
-            best = (float(found.fun), np.asarray(found.x))
+        if best is None or solution.fun < best[0]:
+            best = (float(solution.fun), np.asarray(solution.x))
     assert best is not None  # noqa: S101  (there is a start)
     return kept(error.gains(best[1]), loop, wanted, 1.0 + gain_error)
 
@@ -100,12 +100,12 @@ def kept(gains: Gains, loop: OpenLoop, wanted: PidFitSettings, factor: float = 1
 
 def keeps(gains: Gains, loop: OpenLoop, wanted: PidFitSettings) -> bool:
     """Tell whether a loop is stable with the margins that were asked for."""
-    found = margins(gains, loop)
+    loop_margins = margins(gains, loop)
     return (
-        found.stable
-        and found.gain >= wanted.gain_margin
-        and found.phase_deg >= wanted.phase_margin_deg
-        and (wanted.max_sensitivity is None or found.sensitivity <= wanted.max_sensitivity)
+        loop_margins.stable
+        and loop_margins.gain >= wanted.gain_margin
+        and loop_margins.phase_deg >= wanted.phase_margin_deg
+        and (wanted.max_sensitivity is None or loop_margins.sensitivity <= wanted.max_sensitivity)
     )
 
 

@@ -25,26 +25,31 @@ def tables(study: Study) -> tuple[TextTable, ...]:
     """Return gains, margins, predicted step, and, where there is a reference, errors."""
     unit, rate = drive_per_output(study), study.settings.rate_hz
     gains, kept, steps = [], [], []
-    for one in study.designs:
-        name, own, found, spread = _name(one, study), one.gains, one.margins, study.spreads.get(one.name)
+    for design in study.designs:
+        name, own, margins, spread = (
+            _name(design, study),
+            design.gains,
+            design.margins,
+            study.spreads.get(design.name),
+        )
         numbers = (own.p, own.i_per_s, own.i_per_sample(rate), own.d_s)
         filtered = _number(own.filter_s) if own.d_s else "-"
         ahead = "-" if own.feedforward is None else _number(own.feedforward)
-        gains.append((name, one.structure, *map(_number, numbers), filtered, ahead))
+        gains.append((name, design.structure, *map(_number, numbers), filtered, ahead))
         between = (
             ("-", "-") if spread is None else (_interval(spread.gain, 2), _interval(spread.phase_deg, 0))
         )
-        crossover = _number(found.crossover_rad_s) if found.crossover_rad_s else "none"
+        crossover = _number(margins.crossover_rad_s) if margins.crossover_rad_s else "none"
         kept.append((
-            name, _margin(found.gain), between[0], _margin(found.phase_deg), between[1], _margin(found.delay_s),
-            _number(found.sensitivity), crossover, "yes" if found.stable else "NO",
+            name, _margin(margins.gain), between[0], _margin(margins.phase_deg), between[1], _margin(margins.delay_s),
+            _number(margins.sensitivity), crossover, "yes" if margins.stable else "NO",
         ))  # fmt: skip
-        if found.stable:
-            figures = one.figures
+        if margins.stable:
+            figures = design.figures
             off = f"{100 * figures.steady_error:.1f} %"
             steps.append((
                 name, f"{100 * figures.overshoot:.1f} %", _settling(figures.settling_s), off,
-                _number(figures.peak_drive), _number(one.noise_gain),
+                _number(figures.peak_drive), _number(design.noise_gain),
             ))  # fmt: skip
     found_tables = [
         TextTable(
@@ -113,62 +118,68 @@ def _interval(ends: tuple[float, float], decimals: int) -> str:
 
 def findings(study: Study) -> list[str]:
     """Return what the designs show, the recommendation first."""
-    told = [*_recommended(study), *_limits(study.loop, study), *_proportional(study)]
-    told += [sentence for one in study.designs if one.source == "given" for sentence in _verdict(one, study)]
-    return told
+    message = [*_recommended(study), *_limits(study.loop, study), *_proportional(study)]
+    message += [
+        sentence
+        for design in study.designs
+        if design.source == "given"
+        for sentence in _verdict(design, study)
+    ]
+    return message
 
 
 def warnings(study: Study) -> list[str]:
     """Return what to know before a design is trusted."""
-    told, settings = list(study.warnings), study.settings
+    messages, settings = list(study.warnings), study.settings
     for design in study.designs:
-        found, spread = design.margins, study.spreads.get(design.name)
-        short = found.gain < settings.gain_margin or found.phase_deg < settings.phase_margin_deg
-        if not found.stable:
-            told.append(
-                f"{design.name} is unstable on this plant: its gain would have to be below {found.gain:.2g} of "
+        margins, spread = design.margins, study.spreads.get(design.name)
+        short = margins.gain < settings.gain_margin or margins.phase_deg < settings.phase_margin_deg
+        if not margins.stable:
+            messages.append(
+                f"{design.name} is unstable on this plant: its gain would have to be below {margins.gain:.2g} of "
                 "what it is; nothing is predicted of it"
             )
         elif spread is not None and lost(spread):
-            told.append(
+            messages.append(
                 f"{design.name} may lose its margin within the fit's 95 % interval: gain margin "
                 f"{spread.gain[0]:.2f} ... {spread.gain[1]:.2f}, unstable on {spread.unstable_share:.0%} of "
                 f"{spread.plants} resampled plants; measure more steps, or ask for a larger gain_margin"
             )
-        if found.stable and design.source == "simc" and short:
-            told.append(
-                f"{design.name} has a gain margin of {found.gain:.2f} and a phase margin of {found.phase_deg:.0f} deg: "
+        if margins.stable and design.source == "simc" and short:
+            messages.append(
+                f"{design.name} has a gain margin of {margins.gain:.2f} and a phase margin of "
+                f"{margins.phase_deg:.0f} deg: "
                 "SIMC keeps no margin that is asked for; a larger tau_c_s gives more"
             )
-    told += _out_of_range(study)
+    messages += _out_of_range(study)
     if study.best is None:
         calm = (
             f" without overshooting a step by more than {MOST_OVERSHOOT:.0%} (where the reference is slower than "
             "a step, say which it is: reference)"
         )
-        told.append(
+        messages.append(
             "no design keeps the margins that were asked for on all plants within the fit's 95 % interval"
             f"{'' if settings.reference else calm}: none is recommended"
         )
-    return told
+    return messages
 
 
 def _recommended(study: Study) -> Iterator[str]:
     if study.best is None:
         return
     design, unit = study.named(study.best), study.loop.plant.output_unit
-    found = design.margins
+    margins = design.margins
     among = "its error after steps of reference and load is the least, or near it"
     if study.errors:
         among = (
             f"on the reference its mean error is at most {study.scores[study.best]:.2g} {unit} with the plant's gain "
             f"off by {study.settings.gain_error:.0%} either way"
         )
-    finite = math.isfinite(found.delay_s)
-    late = f", delay margin {found.delay_s:.2f} s" if finite else ", and no dead time unsettles it"
+    finite = math.isfinite(margins.delay_s)
+    late = f", delay margin {margins.delay_s:.2f} s" if finite else ", and no dead time unsettles it"
     yield (
         f"take {design.name} ({design.structure}): {among}; of the designs within 20 % of the least error it passes "
-        f"least noise to the drive; gain margin {found.gain:.2f}{late}"
+        f"least noise to the drive; gain margin {margins.gain:.2f}{late}"
     )
     if design.gains.feedforward is not None:
         yield (
@@ -186,32 +197,32 @@ def _recommended(study: Study) -> Iterator[str]:
 def _calmest(study: Study) -> str:
     """Return which design a step suits best."""
     settled = [
-        one
-        for one in study.designs
-        if one.source != "given"
-        and one.margins.stable
-        and one.gains.i_per_s
-        and one.figures.overshoot < MOST_OVERSHOOT
-        and math.isfinite(one.figures.settling_s)
+        design
+        for design in study.designs
+        if design.source != "given"
+        and design.margins.stable
+        and design.gains.i_per_s
+        and design.figures.overshoot < MOST_OVERSHOOT
+        and math.isfinite(design.figures.settling_s)
     ]
     if not settled:
         return ""
-    one = min(settled, key=lambda item: item.figures.settling_s)
-    overshoot, settling_s = one.figures.overshoot, one.figures.settling_s
-    return f"; for references that jump there is {one.name}, {overshoot:.0%} and settled after {settling_s:.1f} s"
+    design = min(settled, key=lambda item: item.figures.settling_s)
+    overshoot, settling_s = design.figures.overshoot, design.figures.settling_s
+    return f"; for references that jump there is {design.name}, {overshoot:.0%} and settled after {settling_s:.1f} s"
 
 
 def _limits(loop: OpenLoop, study: Study) -> Iterator[str]:
     unit = drive_per_output(study)
     bare, bare_omega = ultimate(OpenLoop(loop.plant))
     real, real_omega = ultimate(loop)
-    said = f"ultimate gain of the plant alone {with_unit(f'{bare:.4g}', unit)} at {bare_omega:.3g} rad/s"
+    message = f"ultimate gain of the plant alone {with_unit(f'{bare:.4g}', unit)} at {bare_omega:.3g} rad/s"
     if loop.average_s:
         mean, mean_omega = ultimate(OpenLoop(loop.plant, average_s=loop.average_s))
-        said += (
+        message += (
             f"; with the mean over {loop.average_s:.3g} s as feedback {mean:.4g} at {mean_omega:.3g} rad/s"
         )
-    yield f"{said}; of the loop at {loop.rate_hz:g} Hz {real:.4g} at {real_omega:.3g} rad/s"
+    yield f"{message}; of the loop at {loop.rate_hz:g} Hz {real:.4g} at {real_omega:.3g} rad/s"
     parts = [f"{loop.plant.dead_s:.3f} s dead time"]
     parts += [f"{0.5 * loop.average_s:.3f} s half of the mean"] if loop.average_s else []
     parts += [f"{0.5 * loop.step_s:.3f} s half a sample"]
@@ -222,9 +233,9 @@ def _limits(loop: OpenLoop, study: Study) -> Iterator[str]:
 def _proportional(study: Study) -> Iterator[str]:
     gain, unit = study.loop.gain, drive_per_output(study)
     kept = ", ".join(
-        f"{one.name} {one.steady_error:.0%} (P = {with_unit(f'{one.gains.p:.4g}', unit)})"
-        for one in study.designs
-        if one.structure == "P" and one.source != "given" and one.margins.stable
+        f"{design.name} {design.steady_error:.0%} (P = {with_unit(f'{design.gains.p:.4g}', unit)})"
+        for design in study.designs
+        if design.structure == "P" and design.source != "given" and design.margins.stable
     )
     if kept:
         yield (
@@ -320,17 +331,17 @@ def design_figure(study: Study, title: str) -> FigureData:
 
 def shown_designs(study: Study) -> list[ControllerDesign]:
     """Return the stable designs, at most 5: the best, up to 4 that were given, and those that come next to the best."""
-    stable = [one for one in study.designs if one.margins.stable]
-    written = [one for one in stable if one.source == "given"][: _MOST - 1]
-    made = [one for one in stable if one.source != "given"]
-    made.sort(key=lambda one: (one.name != study.best, study.scores[one.name]))
+    stable = [design for design in study.designs if design.margins.stable]
+    written = [design for design in stable if design.source == "given"][: _MOST - 1]
+    made = [design for design in stable if design.source != "given"]
+    made.sort(key=lambda design: (design.name != study.best, study.scores[design.name]))
     best, others = (made[:1], made[1:]) if study.best else ([], made)
     return [*best, *written, *others][:_MOST]
 
 
 def _curve(
     study: Study,
-    place: int,
+    index: int,
     design: ControllerDesign,
     x: FloatArray,
     y: FloatArray,
@@ -339,24 +350,24 @@ def _curve(
     """Return a curve in the look of its design: the recommended one bold, those that were given dashed."""
     best = design.name == study.best
     label = f"{design.name} *" if best else design.name
-    return Curve(x, y, place, label, kind, bold=best, dashed=design.source == "given")
+    return Curve(x, y, index, label, kind, bold=best, dashed=design.source == "given")
 
 
 def _step_panels(study: Study, shown: Sequence[ControllerDesign]) -> tuple[Panel, Panel]:
     plant = study.loop.plant
-    settled = [one.figures.settling_s for one in shown if np.isfinite(one.figures.settling_s)]
+    settled = [design.figures.settling_s for design in shown if np.isfinite(design.figures.settling_s)]
     # most of the designs to their end; one slow integral must not squeeze the others
     until = 1.6 * float(np.median(settled)) if settled else float(shown[0].step.time_s[-1]) if shown else 1.0
     until = max(until, 6.0 * study.loop.delay_s)
     outputs, drives = [], []
-    for place, one in enumerate(shown):
-        inside = one.step.time_s <= until
-        time_s = one.step.time_s[inside]
-        outputs.append(_curve(study, place, one, time_s, one.step.output[inside]))
-        drives.append(_curve(study, place, one, time_s, one.step.drive[inside], "steps"))
+    for index, design in enumerate(shown):
+        inside = design.step.time_s <= until
+        time_s = design.step.time_s[inside]
+        outputs.append(_curve(study, index, design, time_s, design.step.output[inside]))
+        drives.append(_curve(study, index, design, time_s, design.step.drive[inside], "steps"))
     highest = max([1.0, *(float(np.max(curve.y)) for curve in outputs)])
     # the first value of a derivative is a kick that would hide the rest
-    values = np.concatenate([one.step.drive[1:] for one in shown]) if shown else np.zeros(1)
+    values = np.concatenate([design.step.drive[1:] for design in shown]) if shown else np.zeros(1)
     room = 0.12 * float(np.ptp(values) or 1.0)
     level = Curve(np.array([0.0, until]), np.ones(2), "limit", dashed=True)
     upper = Panel(
@@ -383,11 +394,11 @@ def _nyquist(study: Study, shown: Sequence[ControllerDesign]) -> Panel:
         Curve(np.array([-1.6, -1.0 / settings.gain_margin]), np.zeros(2), "limit", bold=True),
         Curve(np.array([-1.0]), np.zeros(1), "limit", kind="points"),
     ]
-    for place, one in enumerate(shown):
-        curve = one.gains.frequency_response(loop.grid_rad_s, loop.step_s) * loop.grid_response
-        curves.append(_curve(study, place, one, curve.real, curve.imag))
-        if one.margins.gain < 1e3:
-            curves.append(Curve(np.array([-1.0 / one.margins.gain]), np.zeros(1), place, kind="points"))
+    for index, design in enumerate(shown):
+        curve = design.gains.frequency_response(loop.grid_rad_s, loop.step_s) * loop.grid_response
+        curves.append(_curve(study, index, design, curve.real, curve.imag))
+        if design.margins.gain < 1e3:
+            curves.append(Curve(np.array([-1.0 / design.margins.gain]), np.zeros(1), index, kind="points"))
     title = (
         f"open loop at {settings.rate_hz:g} Hz; black: margins {settings.gain_margin:g}, "
         f"{settings.phase_margin_deg:g}\N{DEGREE SIGN}"
@@ -404,10 +415,10 @@ def _following(study: Study, shown: Sequence[ControllerDesign]) -> tuple[Panel, 
     if reference is None or not shown:
         return ()
     outputs, errors = [], []
-    for place, one in enumerate(shown):
-        track = one.follow(reference, settings.range or UNBOUNDED, 1.0 - settings.gain_error)
-        outputs.append(_curve(study, place, one, track.time_s, track.output))
-        errors.append(_curve(study, place, one, track.time_s, track.reference - track.output))
+    for index, design in enumerate(shown):
+        track = design.follow(reference, settings.range or UNBOUNDED, 1.0 - settings.gain_error)
+        outputs.append(_curve(study, index, design, track.time_s, track.output))
+        errors.append(_curve(study, index, design, track.time_s, track.reference - track.output))
     wanted = Curve(track.time_s, track.reference, "limit", dashed=True)
     less = f", gain {settings.gain_error:.0%} below the model's" if settings.gain_error else ""
     ends = settings.range

@@ -217,25 +217,25 @@ def _weigh(
         turned(inertia, gain[joint], part)
         for k in range(3):
             torque[k] = -torque[k] - part[k]
-        one = joint
-        while one >= 0:
+        current = joint
+        while current >= 0:
             for k in range(3):
-                lever[k] = centre[k] - hinge[one, k]
-            cross(axis[one], lever, sweeps[one])
-            turned(inertia, axis[one], part)
+                lever[k] = centre[k] - hinge[current, k]
+            cross(axis[current], lever, sweeps[current])
+            turned(inertia, axis[current], part)
             for k in range(3):
-                push[one] += sweeps[one, k] * pull[k] + axis[one, k] * torque[k]
-                lever[k] = kilograms * sweeps[one, k]
+                push[current] += sweeps[current, k] * pull[k] + axis[current, k] * torque[k]
+                lever[k] = kilograms * sweeps[current, k]
             other = joint
-            while other >= one:
+            while other >= current:
                 added = 0.0
                 for k in range(3):
                     added += sweeps[other, k] * lever[k] + axis[other, k] * part[k]
-                mass[one, other] += added
-                if other != one:
-                    mass[other, one] += added
+                mass[current, other] += added
+                if other != current:
+                    mass[other, current] += added
                 other = tree[TREE_HEAD + other]
-            one = tree[TREE_HEAD + one]
+            current = tree[TREE_HEAD + current]
 
 
 @kernel
@@ -301,10 +301,10 @@ def slope(tree: IntArray, values: Pointer, x: Pointer, force: Pointer, out: Poin
 
 
 @kernel
-def _product(one: FloatArray, other: FloatArray) -> float:
+def _product(first: FloatArray, other: FloatArray) -> float:
     total = 0.0
-    for k in range(one.size):
-        total += one[k] * other[k]
+    for k in range(first.size):
+        total += first[k] * other[k]
     return total
 
 
@@ -390,10 +390,10 @@ def measures(tree: IntArray, values: Pointer, x: Pointer, out: Pointer) -> None:
 @kernel
 def _whole(tree: Pointer) -> IntArray:
     """Return the tree, which comes as floats, as it is counted in."""
-    found = np.empty(TREE_HEAD + int(tree[0]), dtype=np.int64)
-    for k in range(found.size):
-        found[k] = int(tree[k])
-    return found
+    result = np.empty(TREE_HEAD + int(tree[0]), dtype=np.int64)
+    for k in range(result.size):
+        result[k] = int(tree[k])
+    return result
 
 
 def chain_slope(t: float, x: Pointer, values: Pointer, tree: Pointer, force: Pointer, out: Pointer) -> None:

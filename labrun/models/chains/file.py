@@ -137,33 +137,37 @@ def chain_model(file: ModelFile) -> ClosedChain:
     states = (*names, *(f"{name}_rate" for name in names))
     inputs = inputs_of(given.inputs)
     outputs = tuple(
-        Output(name, one.unit, CLOSED if OPENINGS & set(one.equation.names) else 0.0)
-        for name, one in given.outputs.items()
+        Output(name, output.unit, CLOSED if OPENINGS & set(output.equation.names) else 0.0)
+        for name, output in given.outputs.items()
     )
-    parameters = tuple(parameter_of(name, one, one.value) for name, one in given.parameters.items())
+    parameters = tuple(
+        parameter_of(name, parameter, parameter.value) for name, parameter in given.parameters.items()
+    )
     places = places_of(file, states, inputs, parameters)
     _check_initial(file, given, states, outputs)
 
     settings = _settings(given, tree)
-    readings = {("outputs", name): one.equation for name, one in given.outputs.items()}
-    expressions: dict[KeyPath, Expression] = {path: one for path, one in settings if path} | readings
+    readings = {("outputs", name): output.equation for name, output in given.outputs.items()}
+    expressions: dict[KeyPath, Expression] = {
+        path: expression for path, expression in settings if path
+    } | readings
     _check_forces(file, expressions, names)
-    for name in (one for one in MEASURES if one in places):
+    for name in (measure for measure in MEASURES if measure in places):
         file.note(
             ("outputs",), f"{name} is what labrun calls a quantity of every such model", "choose another name"
         )
     known = places | dict.fromkeys(MEASURES, "")
     conditions = conditions_of(file, expressions, known, given.conditions)
     _check_constant(file, settings, places)
-    _check_numbers(file, given, {one.name: one.value for one in parameters})
+    _check_numbers(file, given, {parameter.name: parameter.value for parameter in parameters})
     file.refuse()
     refuse_unused(file, expressions, parameters, conditions)
 
-    places |= {one: f"p[{len(parameters) + index}]" for index, one in enumerate(conditions)}
+    places |= {condition: f"p[{len(parameters) + index}]" for index, condition in enumerate(conditions)}
     places |= {f"force.{name}": f"force[{index}]" for index, name in enumerate(names)}
     springs = [given.joints[name].stiffness_n_m_rad for name in names]
     at = len(parameters) + len(conditions)
-    made = functions([one for _, one in settings], list(readings.values()), springs, places, tree, at)
+    made = functions([measure for _, measure in settings], list(readings.values()), springs, places, tree, at)
     sites = tuple(
         Site(name, "joint", name, f"{name}_rate", "", spring.text if spring.names else "")
         for name, spring in zip(names, springs, strict=True)
@@ -209,22 +213,22 @@ def _tree(file: ModelFile, given: ChainFile) -> Tree:
             hint = f"every chain of joints begins at {fixed}, and goes on from -> to"
             file.fail(("joints", waiting[0]), f"it hangs on {lost}, which no joint holds", hint)
         waiting.remove(ready)
-        one = given.joints[ready]
-        if one.to_body in placed:
+        joint = given.joints[ready]
+        if joint.to_body in placed:
             closes = f'[loop] joint = "{ready}" says that it closes the loop'
             hint = closes if closing is None else "labrun closes one loop"
-            file.fail(("joints", ready, "to"), f"{one.to_body} is held already", hint)
-        parents.append(placed[one.from_body])
-        placed[one.to_body] = len(order)
+            file.fail(("joints", ready, "to"), f"{joint.to_body} is held already", hint)
+        parents.append(placed[joint.from_body])
+        placed[joint.to_body] = len(order)
         order.append(ready)
     first, second = -1, -1
     if closing is not None:
-        one = given.joints[closing]
-        _check_closing(file, closing, one, fixed, placed)
-        first, second = placed[one.to_body], len(order)
-        parents.append(placed[one.from_body])
+        joint = given.joints[closing]
+        _check_closing(file, closing, joint, fixed, placed)
+        first, second = placed[joint.to_body], len(order)
+        parents.append(placed[joint.from_body])
         order.append(closing)
-    for body in (one for one in given.bodies if one not in placed):
+    for body in (body_ for body_ in given.bodies if body_ not in placed):
         file.note(("bodies", body), "no joint holds it", "take it out, or name it in the `to` of a joint")
     file.refuse()
     bodies = tuple(given.joints[name].to_body for name in order)
@@ -233,12 +237,12 @@ def _tree(file: ModelFile, given: ChainFile) -> Tree:
 
 def _fixed(file: ModelFile, given: ChainFile) -> str:
     """Return the body that does not move; refuse names that mean nothing, and bodies without mass."""
-    fixed = [name for name, one in given.bodies.items() if one.fixed]
+    fixed = [name for name, body in given.bodies.items() if body.fixed]
     if len(fixed) != 1:
-        found = " and ".join(fixed) or "none"
-        file.fail(("bodies",), f"one body does not move, and says fixed = true; here it is {found}")
-    for name, one in given.joints.items():
-        for key, body in (("from", one.from_body), ("to", one.to_body)):
+        text = " and ".join(fixed) or "none"
+        file.fail(("bodies",), f"one body does not move, and says fixed = true; here it is {text}")
+    for name, joint in given.joints.items():
+        for key, body in (("from", joint.from_body), ("to", joint.to_body)):
             if body not in given.bodies:
                 file.note(("joints", name, key), f"there is no body {body!r}", suggest(body, given.bodies))
     if given.loop is not None and given.loop.joint not in given.joints:
@@ -252,50 +256,50 @@ def _fixed(file: ModelFile, given: ChainFile) -> str:
 
 
 def _check_closing(
-    file: ModelFile, name: str, one: JointTable, fixed: str, placed: Mapping[str, int]
+    file: ModelFile, name: str, table: JointTable, fixed: str, placed: Mapping[str, int]
 ) -> None:
-    if one.from_body not in placed:
-        file.fail(("joints", name), f"it hangs on {one.from_body}, which no joint holds")
-    if one.to_body == fixed:
+    if table.from_body not in placed:
+        file.fail(("joints", name), f"it hangs on {table.from_body}, which no joint holds")
+    if table.to_body == fixed:
         hint = "let joints go on from the fixed body on both sides, and name one in the middle in [loop]"
         file.fail(("loop", "joint"), f"{name} leads to {fixed}, which has no mass to share", hint)
-    if one.to_body not in placed:
-        file.fail(("loop", "joint"), f"{name} closes nothing: only it holds {one.to_body}")
+    if table.to_body not in placed:
+        file.fail(("loop", "joint"), f"{name} closes nothing: only it holds {table.to_body}")
 
 
 def _settings(given: ChainFile, tree: Tree) -> list[tuple[KeyPath, Expression]]:
     """Return all numbers of the compiled functions, in their order, with the keys that say them."""
     rate = given.loop.stabilisation_rad_s if given.loop is not None else 0.0
-    found = _vector(("gravity_m_s2",), given.gravity_m_s2)
-    found.append(((), Expression.of(rate)))
+    vector = _vector(("gravity_m_s2",), given.gravity_m_s2)
+    vector.append(((), Expression.of(rate)))
     for name in tree.joints:
         joint = given.joints[name]
-        found += _joint(("joints", name), joint)
-        found += _body(("bodies", joint.to_body), given.bodies[joint.to_body])
-    return found
+        vector += _joint(("joints", name), joint)
+        vector += _body(("bodies", joint.to_body), given.bodies[joint.to_body])
+    return vector
 
 
-def _joint(path: KeyPath, one: JointTable) -> list[tuple[KeyPath, Expression]]:
+def _joint(path: KeyPath, table: JointTable) -> list[tuple[KeyPath, Expression]]:
     vectors = {
-        "axis": one.axis,
-        "at_m": one.at_m,
-        "axis_in_to": one.axis_in_to or one.axis,
-        "at_in_to_m": one.at_in_to_m or one.at_m,
+        "axis": table.axis,
+        "at_m": table.at_m,
+        "axis_in_to": table.axis_in_to or table.axis,
+        "at_in_to_m": table.at_in_to_m or table.at_m,
     }
-    found = [entry for key, vector in vectors.items() for entry in _vector((*path, key), vector)]
+    entries = [entry for key, vector in vectors.items() for entry in _vector((*path, key), vector)]
     torques = ("stiffness_n_m_rad", "damping_n_m_s_rad", "rest_rad", "torque_n_m")
-    return found + [((*path, key), getattr(one, key)) for key in torques]
+    return entries + [((*path, key), getattr(table, key)) for key in torques]
 
 
-def _body(path: KeyPath, one: BodyTable) -> list[tuple[KeyPath, Expression]]:
-    inertia = [*(one.inertia_kg_m2 or ()), *[_ZERO] * 6][:6]
-    found = [((*path, "mass_kg"), one.mass_kg or _ZERO)]
-    found += _vector((*path, "center_m"), one.center_m or (_ZERO,) * 3)
-    return found + [((*path, "inertia_kg_m2", index), each) for index, each in enumerate(inertia)]
+def _body(path: KeyPath, table: BodyTable) -> list[tuple[KeyPath, Expression]]:
+    inertia = [*(table.inertia_kg_m2 or ()), *[_ZERO] * 6][:6]
+    entries = [((*path, "mass_kg"), table.mass_kg or _ZERO)]
+    entries += _vector((*path, "center_m"), table.center_m or (_ZERO,) * 3)
+    return entries + [((*path, "inertia_kg_m2", index), each) for index, each in enumerate(inertia)]
 
 
 def _vector(path: KeyPath, values: Sequence[Expression]) -> list[tuple[KeyPath, Expression]]:
-    return [((*path, index), one) for index, one in enumerate(values)]
+    return [((*path, index), value) for index, value in enumerate(values)]
 
 
 def _check_initial(
@@ -329,8 +333,8 @@ def _check_numbers(file: ModelFile, given: ChainFile, known: Mapping[str, float]
     for name, joint in given.joints.items():
         for key in ("axis", "axis_in_to"):
             vector: Vector | None = getattr(joint, key)
-            found = None if vector is None else _valued(file, ("joints", name, key), vector, known)
-            if found is not None and not np.linalg.norm(found) > 0:
+            values = None if vector is None else _valued(file, ("joints", name, key), vector, known)
+            if values is not None and not np.linalg.norm(values) > 0:
                 file.note(("joints", name, key), "an axis needs a direction", "one number of it is not 0")
     for name, body in given.bodies.items():
         mass, inertia = body.mass_kg, body.inertia_kg_m2
@@ -338,13 +342,13 @@ def _check_numbers(file: ModelFile, given: ChainFile, known: Mapping[str, float]
         if mass_kg is not None and mass_kg[0] < 0:
             file.note(("bodies", name, "mass_kg"), f"{mass_kg[0]:g} kg, and a mass is at least 0")
         path = ("bodies", name, "inertia_kg_m2")
-        found = None if inertia is None else _valued(file, path, inertia, known)
-        if found is None:
+        values = None if inertia is None else _valued(file, path, inertia, known)
+        if values is None:
             continue
-        xx, yy, zz, xy, xz, yz = np.append(found, np.zeros(6 - len(found)))
+        xx, yy, zz, xy, xz, yz = np.append(values, np.zeros(6 - len(values)))
         principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if principal[0] < -_ROUNDING * principal[-1]:
-            moments = ", ".join(f"{one:.3g}" for one in principal)
+            moments = ", ".join(f"{moment:.3g}" for moment in principal)
             hint = "none is below 0; the order is xx, yy, zz, xy, xz, yz"
             file.note(
                 path, f"no body has this inertia: about its principal axes it is {moments} kg m^2", hint
@@ -356,16 +360,16 @@ def _valued(
 ) -> FloatArray | None:
     """Return the numbers of a key; None where they hang on more than is known, or one is none, which is noted."""
     equations = {path: given} if isinstance(given, Expression) else dict(_vector(path, given))
-    if not known.keys() >= {name for one in equations.values() for name in one.names}:
+    if not known.keys() >= {name for equation in equations.values() for name in equation.names}:
         return None
-    found = []
-    for place, one in equations.items():
+    faults = []
+    for key_path, equation in equations.items():
         try:
-            found.append(float(one(known)))
+            faults.append(float(equation(known)))
         except ExpressionError as error:
-            file.note_in(place, error)
+            file.note_in(key_path, error)
             return None
-    return np.array(found)
+    return np.array(faults)
 
 
 def _check_constant(

@@ -49,10 +49,10 @@ def stacked(typing: Any, shape: Any) -> Any:
         for length in reversed(lengths):
             strides.insert(0, builder.mul(count, cgutils.intp_t(8)))
             count = builder.mul(count, length)
-        found = context.make_array(array)(context, builder)
+        array_struct = context.make_array(array)(context, builder)
         data = builder.alloca(ir.DoubleType(), size=count)
-        populate_array(found, data, lengths, strides, cgutils.intp_t(8), None)
-        return found._getvalue()
+        populate_array(array_struct, data, lengths, strides, cgutils.intp_t(8), None)
+        return array_struct._getvalue()
 
     return array(shape), generate
 

@@ -54,10 +54,10 @@ class ClosedChain(Model):
         """Return what the kernels take; torques are those at rest, at time 0, without inputs."""
         settings = self.settings.python
         count = len(self.tree.joints)
-        found = np.zeros(_numbers_of(count))
+        result = np.zeros(_numbers_of(count))
         p = self.vector(parameters, condition or {})
-        settings(0.0, np.zeros(2 * count), np.zeros(len(self.inputs)), p, np.zeros(count), found)
-        return found
+        settings(0.0, np.zeros(2 * count), np.zeros(len(self.inputs)), p, np.zeros(count), result)
+        return result
 
     def vector(self, parameters: FloatArray | Mapping[str, float] | None, condition: Condition) -> FloatArray:
         """Return `p` as `Model.vector` does; its last numbers lead compiled code to the dynamics of chains.
@@ -98,13 +98,13 @@ class ClosedChain(Model):
         """
         state = super().initial_state(condition, first=first, free=free)
         asked = (state.tobytes(), *sorted(condition.items()))
-        begun = self._begun.get(asked)
-        if begun is None:
-            begun = self._closed(condition, state)
+        initial = self._begun.get(asked)
+        if initial is None:
+            initial = self._closed(condition, state)
             if len(self._begun) >= _KEPT_STARTS:
                 self._begun.clear()
-            self._begun[asked] = begun
-        return begun.copy()
+            self._begun[asked] = initial
+        return initial.copy()
 
     def _closed(self, condition: Condition, state: FloatArray) -> FloatArray:
         from labrun.models.chains.starting import closed, moving_together, settled

@@ -48,10 +48,10 @@ class _Layout:
 
     def jacobian(self) -> FloatArray:
         """Return its derivative by the angles, (6, joints)."""
-        found = np.zeros((6, len(self.axis)))
+        result = np.zeros((6, len(self.axis)))
         if self.tree[1] >= 0:
-            geometry.closing_jacobian(self.tree, self.axis, self.hinge, found)
-        return found
+            geometry.closing_jacobian(self.tree, self.axis, self.hinge, result)
+        return result
 
 
 def opening(tree: Tree, values: FloatArray, angles: FloatArray) -> FloatArray:
@@ -82,12 +82,12 @@ def closed(tree: Tree, values: FloatArray, angles: FloatArray, held: IntArray) -
     if tree.first < 0 or apart_now < CLOSED:
         return angles
     moving = np.setdiff1d(np.arange(len(angles)), held)
-    found = angles.copy()
+    solved = angles.copy()
     if moving.size:
 
         def at(some: FloatArray) -> _Layout:
-            found[moving] = some
-            return _Layout(tree, values, found)
+            solved[moving] = some
+            return _Layout(tree, values, solved)
 
         def apart(some: FloatArray) -> FloatArray:
             return at(some).apart()
@@ -100,11 +100,11 @@ def closed(tree: Tree, values: FloatArray, angles: FloatArray, held: IntArray) -
             near = least_squares(
                 apart, angles[moving], jacobian, xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=_MOST_STEPS
             ).x
-        found[moving] = near
-    left = opening(tree, values, found)
+        solved[moving] = near
+    left = opening(tree, values, solved)
     if np.max(left) < CLOSED:
-        return found
-    raise _stays_open(tree, found, left, held)
+        return solved
+    raise _stays_open(tree, solved, left, held)
 
 
 def _nearest(
@@ -128,7 +128,7 @@ def _nearest(
 def _stays_open(tree: Tree, angles: FloatArray, left: FloatArray, held: IntArray) -> ModelError:
     joint, body = tree.joints[tree.second], tree.bodies[tree.second]
     where = ", ".join(f"{name} {angle:.4g}" for name, angle in zip(tree.joints, angles, strict=True))
-    kept = ", ".join(tree.joints[place] for place in held)
+    kept = ", ".join(tree.joints[index] for index in held)
     hint = (
         f"{kept} {'are' if len(held) > 1 else 'is'} held by [initial]; give a rough guess_rad instead, or another value"
         if kept
@@ -147,15 +147,15 @@ def settled(tree: Tree, values: FloatArray, angles: FloatArray, resting: IntArra
     Raises ModelError: there is no such balance near these angles.
     """
     held = np.setdiff1d(np.arange(len(angles)), resting)
-    found = angles.copy()
+    solved = angles.copy()
     for _ in range(_MOST_STEPS):
-        jacobian = _Layout(tree, values, found).jacobian()[:, resting]
+        jacobian = _Layout(tree, values, solved).jacobian()[:, resting]
         free = null_space(jacobian, rcond=_DEPENDENT)
-        push = _push(tree, values, found)[resting]
+        push = _push(tree, values, solved)[resting]
         if free.shape[1] == 0:
-            return found
+            return solved
         multipliers = np.asarray(np.linalg.lstsq(jacobian.T, push, rcond=_DEPENDENT)[0], dtype=float)
-        curvature = free.T @ _hessian(tree, values, found, resting, multipliers) @ free
+        curvature = free.T @ _hessian(tree, values, solved, resting, multipliers) @ free
         sizes, directions = np.linalg.eigh(0.5 * (curvature + curvature.T))
         down = directions.T @ (free.T @ push)
         step = free @ directions @ (down / np.maximum(np.abs(sizes), 1e-9 * np.max(np.abs(sizes)) + 1e-300))
@@ -163,10 +163,10 @@ def settled(tree: Tree, values: FloatArray, angles: FloatArray, resting: IntArra
         if longest < _STILL:
             if sizes[0] <= 0:
                 break
-            return found
-        found[resting] += step * min(1.0, _LONGEST_STEP_RAD / longest)
-        found = closed(tree, values, found, held)
-    names = ", ".join(tree.joints[place] for place in resting)
+            return solved
+        solved[resting] += step * min(1.0, _LONGEST_STEP_RAD / longest)
+        solved = closed(tree, values, solved, held)
+    names = ", ".join(tree.joints[index] for index in resting)
     raise ModelError(
         f"model {tree.model} finds no stable rest of {names} from its guess",
         hint='give another guess_rad, or let the joints begin at numbers or at "first"',
@@ -176,11 +176,11 @@ def settled(tree: Tree, values: FloatArray, angles: FloatArray, resting: IntArra
 def _push(tree: Tree, values: FloatArray, angles: FloatArray) -> FloatArray:
     """Return the torque that springs and weights exert at every joint when nothing moves."""
     count = len(angles)
-    one = _Layout(tree, values, angles)
+    layout = _Layout(tree, values, angles)
     push = np.empty(count)
     dynamics.unconstrained(
-        one.tree, values, np.concatenate([angles, np.zeros(count)]), np.zeros(count), one.rotation, one.origin,
-        one.axis, one.hinge, np.empty((count, count)), push, np.zeros(6),
+        layout.tree, values, np.concatenate([angles, np.zeros(count)]), np.zeros(count), layout.rotation, layout.origin,
+        layout.axis, layout.hinge, np.empty((count, count)), push, np.zeros(6),
     )  # fmt: skip
     return push
 
@@ -190,11 +190,11 @@ def _hessian(
 ) -> FloatArray:
     """Return the second derivative of energy and constraint, by central differences."""
     columns = []
-    for place in resting:
+    for index in resting:
         ends = []
         for sign in (1.0, -1.0):
             moved = angles.copy()
-            moved[place] += sign * _DIFFERENCE_RAD
+            moved[index] += sign * _DIFFERENCE_RAD
             jacobian = _Layout(tree, values, moved).jacobian()[:, resting]
             ends.append(jacobian.T @ multipliers - _push(tree, values, moved)[resting])
         columns.append((ends[0] - ends[1]) / (2 * _DIFFERENCE_RAD))
@@ -215,9 +215,9 @@ def moving_together(tree: Tree, values: FloatArray, angles: FloatArray, rates: F
 def mass_matrix(tree: Tree, values: FloatArray, angles: FloatArray) -> FloatArray:
     """Return the mass matrix of the tree, (joints, joints), kg m^2."""
     count = len(angles)
-    one, mass = _Layout(tree, values, angles), np.empty((count, count))
+    layout, mass = _Layout(tree, values, angles), np.empty((count, count))
     dynamics.unconstrained(
-        one.tree, values, np.concatenate([angles, np.zeros(count)]), np.zeros(count), one.rotation, one.origin,
-        one.axis, one.hinge, mass, np.empty(count), np.zeros(6),
+        layout.tree, values, np.concatenate([angles, np.zeros(count)]), np.zeros(count), layout.rotation, layout.origin,
+        layout.axis, layout.hinge, mass, np.empty(count), np.zeros(6),
     )  # fmt: skip
     return mass

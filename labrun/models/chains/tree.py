@@ -114,11 +114,11 @@ def functions(
         "derivative": _DERIVATIVE.format(count=count, at=at),
         "site_values": equations("site_values", quantities, places),
     }
-    if any(name in measured for one in readings for name in one.names):
+    if any(name in measured for reading in readings for name in reading.names):
         text["readings"] = "@kernel\n" + equations("readings", readings, {**places, **measured})
         text["output"] = _OUTPUT.format(count=count, joints=joints, measured=len(MEASURES), at=at + 1)
     else:
         text["output"] = equations("output", readings, places)
-    made = generated(text, _IMPORTS.format(tree=[float(one) for one in tree.numbers]))
+    made = generated(text, _IMPORTS.format(tree=[float(number) for number in tree.numbers]))
     reaching = {name: ThroughAddresses("model", made[name].provide) for name in ("derivative", "output")}
     return {**made, **reaching}

@@ -10,11 +10,11 @@ from labrun.models.engine.calling import call_filter, call_model
 @kernel
 def _gather(signals: FloatArray, channel: int, piece: FloatArray) -> None:
     piece[0] = signals[channel]
-    place = 1
+    index = 1
     for k in range(signals.size):
         if k != channel:
-            piece[place] = signals[k]
-            place += 1
+            piece[index] = signals[k]
+            index += 1
 
 
 @kernel
@@ -34,7 +34,7 @@ def filter_inputs(
     values: FloatArray,
     memory_offsets: IntArray,
     memory: FloatArray,
-    begun: bool,
+    started: bool,
 ) -> None:
     """Send the inputs ``(steps, 3, inputs)`` through their filters, in place; each step is two straight pieces.
 
@@ -44,7 +44,7 @@ def filter_inputs(
     before, after, out = np.empty(u.shape[2]), np.empty(u.shape[2]), np.zeros(3)
     for e in range(addresses.size):
         c = channels[e]
-        if not begun and steps_s.size > 0:
+        if not started and steps_s.size > 0:
             _gather(u[0, 0], c, before)
             call_filter(addresses[e], before, before, 0.0, values, offsets[e], memory, memory_offsets[e], out)
         for step in range(steps_s.size):
@@ -77,7 +77,7 @@ def filter_outputs(
     values: FloatArray,
     memory_offsets: IntArray,
     memory: FloatArray,
-    begun: bool,
+    started: bool,
 ) -> None:
     """Send the outputs ``(steps + 1, outputs)`` through their filters, in place; they are straight between rows.
 
@@ -86,7 +86,7 @@ def filter_outputs(
     before, after, out = np.empty(y.shape[1]), np.empty(y.shape[1]), np.empty(3)
     for e in range(addresses.size):
         c = channels[e]
-        if not begun:
+        if not started:
             _keep(y[0], last[e])
             _gather(y[0], c, before)
             call_filter(addresses[e], before, before, 0.0, values, offsets[e], memory, memory_offsets[e], out)
@@ -108,10 +108,10 @@ def evaluate_sites(
     inputs: FloatArray,
     p: FloatArray,
     force: FloatArray,
-    found: FloatArray,
+    filtered: FloatArray,
 ) -> None:
     """Write the site quantities of every sample to the rows of `found`."""
-    state, u, row = np.empty(states.shape[1]), np.empty(inputs.shape[1]), np.empty(found.shape[1])
+    state, u, row = np.empty(states.shape[1]), np.empty(inputs.shape[1]), np.empty(filtered.shape[1])
     for n in range(time_s.size):
         for k in range(state.size):
             state[k] = states[n, k]
@@ -119,4 +119,4 @@ def evaluate_sites(
             u[k] = inputs[n, k]
         call_model(address, time_s[n], state, u, p, force, row)
         for k in range(row.size):
-            found[n, k] = row[k]
+            filtered[n, k] = row[k]

@@ -153,11 +153,11 @@ def inertial_force(
     """Return what law `e` gives at an acceleration of its site; its own states' derivatives go to `slope`."""
     law = offset(system.law_table, 5 * e)
     here = offset(system.site, 4 * law[1])
-    found: float = call_law(
+    force: float = call_law(
         law[0], t, here[0], here[1], acceleration, here[2], here[3],
         offset(system.values, law[3]), offset(state, law[4]), offset(slope, law[4]),
     )  # fmt: skip
-    return found
+    return force
 
 
 @kernel
@@ -372,10 +372,10 @@ def fifth_order(  # noqa: PLR0912 - a branch for each stage
 
 
 @inlined
-def _equal(one: Pointer, other: Pointer, count: int) -> bool:
+def _equal(first: Pointer, other: Pointer, count: int) -> bool:
     for k in range(count):
         no_vectorise()
-        if one[k] != other[k]:
+        if first[k] != other[k]:
             return False
     return True
 

@@ -39,6 +39,9 @@ def _few(view: RunView) -> bool:
     """Tell whether a sweep of several parameters without a goal has so few conditions that each is worth its trace."""
     conditions = [trials[0].condition for trials in view.accepted_trials.values()]
     varied = {
-        name for one in conditions for name in one if any(one[name] != other[name] for other in conditions)
+        name
+        for condition in conditions
+        for name in condition
+        if any(condition[name] != other[name] for other in conditions)
     }
     return view.experiment.goal is None and len(varied) > 1 and len(conditions) <= MOST_TRACED

@@ -26,13 +26,16 @@ def draw_design(drawing: Drawing, units: Mapping[str, str], title: str) -> Figur
     `drawing`: parts and dimensions. `units`: of the dimensions, by name. `title`: over the drawing.
     """
     left, right, low, high = drawing.extent_mm
-    scale = next((one for one in _SCALES if max(right - left, high - low) / one <= _LARGEST_MM), _SCALES[-1])
+    scale = next(
+        (candidate for candidate in _SCALES if max(right - left, high - low) / candidate <= _LARGEST_MM),
+        _SCALES[-1],
+    )
     margin = _MARGIN_MM * scale
     wide, tall = right - left + 2 * margin, high - low + 2 * margin
     rows = len(drawing.dimensions) + 3
     width_mm = max(wide / scale + _SIZES_MM + _TABLE_MM, 110.0)
-    told = textwrap.wrap(title, int(width_mm / _LETTER_MM))
-    height_mm = max(tall / scale, _LINE_MM * rows) + 5.0 + _LINE_MM * len(told)
+    title_lines = textwrap.wrap(title, int(width_mm / _LETTER_MM))
+    height_mm = max(tall / scale, _LINE_MM * rows) + 5.0 + _LINE_MM * len(title_lines)
     with new_figure(width_mm / _MM_PER_IN, height_mm / _MM_PER_IN) as figure:
         figure.set_layout_engine("none")
         axes = figure.add_axes((0.0, 0.0, wide / scale / width_mm, tall / scale / height_mm))
@@ -55,7 +58,13 @@ def draw_design(drawing: Drawing, units: Mapping[str, str], title: str) -> Figur
                 beside(axes, size, edge, (5, 0), fontsize=7.5, va="center", color=INK)
         across = 1 - _TABLE_MM / width_mm
         figure.text(
-            0.02, 1 - 3.0 / height_mm, "\n".join(told), fontsize=10, fontweight="bold", va="top", color=INK
+            0.02,
+            1 - 3.0 / height_mm,
+            "\n".join(title_lines),
+            fontsize=10,
+            fontweight="bold",
+            va="top",
+            color=INK,
         )
         lines = [f"scale 1:{scale}", ""]
         for name, (value, tolerance) in drawing.dimensions.items():
@@ -63,7 +72,7 @@ def draw_design(drawing: Drawing, units: Mapping[str, str], title: str) -> Figur
             lines.append(f"{name} = {value:.1f} ± {tolerance:g} {unit}".rstrip())
         figure.text(
             across,
-            1 - (8.0 + _LINE_MM * len(told)) / height_mm,
+            1 - (8.0 + _LINE_MM * len(title_lines)) / height_mm,
             "\n".join(lines),
             fontsize=8.5,
             va="top",

@@ -63,7 +63,7 @@ def shown_trials(misfit: FloatArray, most: int = _SHOWN) -> tuple[list[int], dic
     """Return the trials to show, in their own order, and which of them are the worst and the best."""
     ranked = [int(index) for index in np.argsort(-misfit, kind="stable")]
     if len(ranked) > most:
-        ranked = [ranked[int(place)] for place in np.round(np.linspace(0, len(ranked) - 1, most))]
+        ranked = [ranked[int(rank)] for rank in np.round(np.linspace(0, len(ranked) - 1, most))]
     marks = {ranked[-1]: "best", ranked[0]: "worst"} if len(ranked) > 1 else {}
     return sorted(ranked), marks
 
@@ -94,8 +94,8 @@ def draw_figure(described: FigureData) -> Figure:
     with style.new_figure(width_in, height_in) as figure:
         figure.set_layout_engine(None)  # any engine, even an idle one, makes savefig draw twice
         style.heading(figure, title, subtitle)
-        for place, row in enumerate(described.rows):
-            top_in = height_in - head_in - legend_in - place * described.row_height_in
+        for index, row in enumerate(described.rows):
+            top_in = height_in - head_in - legend_in - index * described.row_height_in
             left_in = 0.0
             for stack in row:
                 cell_in = (left_in, top_in, stack.width * width_in / across, described.row_height_in)
@@ -130,8 +130,8 @@ def _draw_stack(
     for number, panel in enumerate(stack.panels, start=1):
         tall_in = panel.height * unit_in
         box = (left_in + _LEFT_IN, edge_in - tall_in, cell_width_in - _LEFT_IN - _RIGHT_IN, tall_in)
-        place = (box[0] / width, box[1] / height, box[2] / width, box[3] / height)
-        axes = figure.add_axes(place, sharex=first if stack.shared_x else None)
+        bounds = (box[0] / width, box[1] / height, box[2] / width, box[3] / height)
+        axes = figure.add_axes(bounds, sharex=first if stack.shared_x else None)
         first = first or axes
         _draw_panel(axes, panel, box[2], own_legend=own_legend)
         if stack.shared_x and number < len(stack.panels):

@@ -100,10 +100,10 @@ def _heights(shown: Sequence[PlacesPanel]) -> list[float]:
 
 
 def _draw(axes: Axes, panel: PlacesPanel, slots: int) -> None:
-    labels = [_label(place_words(place)) for place in panel.places]
-    shares = [place.share for place in panel.places]
-    colours = [_colour(place) for place in panel.places]
-    notes = [_note(place) for place in panel.places]
+    labels = [_label(place_words(location)) for location in panel.places]
+    shares = [location.share for location in panel.places]
+    colours = [_colour(location) for location in panel.places]
+    notes = [_note(location) for location in panel.places]
     rows = range(len(labels))
     axes.barh(rows, shares, height=0.72, color=colours)
     for row, (share, note) in enumerate(zip(shares, notes, strict=True)):
@@ -124,15 +124,15 @@ def _draw(axes: Axes, panel: PlacesPanel, slots: int) -> None:
     axes.set_title(TITLES[panel.by] + more)
 
 
-def _colour(place: Place) -> str:
-    if place.p is None:
+def _colour(location: Place) -> str:
+    if location.p is None:
         return NOT_TESTED
-    return BEYOND_CHANCE if beyond_chance(place) else MAYBE_CHANCE
+    return BEYOND_CHANCE if beyond_chance(location) else MAYBE_CHANCE
 
 
-def _note(place: Place) -> str:
-    p = p_words(place.p)
-    return f"{percent(place.share)}   {p}" if p else percent(place.share)
+def _note(location: Place) -> str:
+    p = p_words(location.p)
+    return f"{percent(location.share)}   {p}" if p else percent(location.share)
 
 
 def _label(text: str) -> str:

@@ -39,7 +39,7 @@ def shown_traces(diagnosis: Diagnosis) -> list[ComparedTrace]:
     traces = [trace for trace in diagnosis.traces if trace.measured.size]
     if all(len(trace.time_s) < _LINE_SAMPLES for trace in traces):
         return sorted(traces, key=_order)
-    return _various([one for one in traces if len(one.time_s) >= _LINE_SAMPLES])
+    return _various([trace for trace in traces if len(trace.time_s) >= _LINE_SAMPLES])
 
 
 def _various(traces: Sequence[ComparedTrace]) -> list[ComparedTrace]:
@@ -48,7 +48,7 @@ def _various(traces: Sequence[ComparedTrace]) -> list[ComparedTrace]:
     for trace in traces:
         first.setdefault(condition_key(trace.condition), trace)
     chosen = list(first.values())
-    again = [trace for trace in traces if not any(trace is one for one in chosen)]
+    again = [trace for trace in traces if not any(trace is other for other in chosen)]
     return [*chosen, *again][:_MOST_UNITS]
 
 
@@ -154,7 +154,7 @@ def _points_figure(diagnosis: Diagnosis, traces: Sequence[ComparedTrace]) -> Fig
             sd = diagnosis.noise.get(name, 0.0)
             axes.errorbar(
                 places,
-                [float(np.mean(one.measured[:, output])) for one in traces],
+                [float(np.mean(trace.measured[:, output])) for trace in traces],
                 yerr=2 * sd,
                 color=INK,
                 fmt="_",
@@ -163,13 +163,13 @@ def _points_figure(diagnosis: Diagnosis, traces: Sequence[ComparedTrace]) -> Fig
                 label="measured \u00b1 2 sd of one trial",
             )
             for number, (label, attribute, colour, marker) in enumerate(models):
-                values = [float(np.mean(getattr(one, attribute)[:, output])) for one in traces]
+                values = [float(np.mean(getattr(trace, attribute)[:, output])) for trace in traces]
                 shift = 0.14 * (number - 0.5 * (len(models) - 1))
                 axes.plot(places + shift, values, marker, color=colour, markersize=5.5, label=label)
             axes.set_ylabel(_label(name, unit))
             axes.set_xlim(-0.6, len(traces) - 0.4)
             zero_line(axes)
-        titles = [_title(one, len(traces)) for one in traces]
+        titles = [_title(trace, len(traces)) for trace in traces]
         grid[-1][0].set_xticks(places, titles, fontsize=8)
         grid[-1][0].set_xlabel("condition")
         _legend(figure, grid[0][0])
@@ -178,11 +178,11 @@ def _points_figure(diagnosis: Diagnosis, traces: Sequence[ComparedTrace]) -> Fig
 
 def worst_outputs(diagnosis: Diagnosis, traces: Sequence[ComparedTrace]) -> list[int]:
     """Return the outputs that are farthest off after recalibration, in units of noise, in the model's order."""
-    known = min(len(diagnosis.channels), *(one.measured.shape[1] for one in traces))
+    known = min(len(diagnosis.channels), *(trace.measured.shape[1] for trace in traces))
     sd = _sd(diagnosis, known)
 
     def off(output: int) -> float:
-        rest = np.concatenate([one.measured[:, output] - one.recalibrated[:, output] for one in traces])
+        rest = np.concatenate([trace.measured[:, output] - trace.recalibrated[:, output] for trace in traces])
         return _log_ratio(root_mean_square(rest), sd[output])
 
     return sorted(sorted(range(known), key=off, reverse=True)[:_MOST_OUTPUTS])
@@ -198,8 +198,8 @@ def _with(diagnosis: Diagnosis) -> str:
     return f"with {names}" if len(names) <= 2 * _NARROW else "with all causes"
 
 
-def _title(trace: ComparedTrace, beside: int) -> str:
-    width = max(90 // beside, 12)
+def _title(trace: ComparedTrace, panels_beside: int) -> str:
+    width = max(90 // panels_beside, 12)
     times = f" ({trace.repeats} repeats)" if trace.repeats > 1 else ""
     return "\n".join(textwrap.wrap(trace.label + times, width, max_lines=3, placeholder=" \u2026"))
 
@@ -275,14 +275,14 @@ def _drawable(missing: MissingForce) -> dict[str, tuple[FloatArray, ...]]:
 
 def _matches(values: tuple[FloatArray, ...], force: tuple[FloatArray, ...]) -> bool:
     """Tell whether there is something to draw over: as many numbers as the force has, and not all the same."""
-    if not values or [len(one) for one in values] != [len(one) for one in force]:
+    if not values or [len(value) for value in values] != [len(samples) for samples in force]:
         return False
     every = np.concatenate(values)
     return every.size > 1 and bool(np.ptp(every) > 0)
 
 
 def _scatter(axes: Axes, label: str, values: tuple[FloatArray, ...], missing: MissingForce) -> None:
-    total = sum(len(one) for one in missing.force)
+    total = sum(len(samples) for samples in missing.force)
     step = max(1, total // _MOST_POINTS)
     for x, y in zip(values, missing.force, strict=True):
         axes.plot(x[::step], y[::step], ".", color=COLOURS[4], markersize=2.5, alpha=0.5, markeredgewidth=0)

@@ -110,7 +110,9 @@ def _cycles_of_all(
     if max(lengths) < _UNEQUAL * min(lengths):
         return None
     cycles = [cycles_of(view, trials[:_MOST_REPEATS], channel) for trials in shown]
-    return None if any(one is None for one in cycles) else [one for one in cycles if one is not None]
+    return (
+        None if any(cycle is None for cycle in cycles) else [cycle for cycle in cycles if cycle is not None]
+    )
 
 
 def _each_cycle(axes: Axes, cycles: FloatArray) -> None:
@@ -154,7 +156,7 @@ def objective_panel(
         for position, point in enumerate(ordered):
             _draw_point(axes, position, point, COLOURS[0], 0.22)
         ticks = conditions
-    differing = [NUMBER] if all(NUMBER in one for one in ticks) else varying(ticks)
+    differing = [NUMBER] if all(NUMBER in tick for tick in ticks) else varying(ticks)
     names = [", ".join(value_text(c[name]) for name in differing if name in c) for c in ticks]
     if len(names) > MOST_TRACED:
         axes.set_xlabel("conditions, in ascending order")
@@ -188,8 +190,8 @@ def _draw_by_setting(axes: Axes, view: RunView, points: Sequence[Point]) -> list
         number = colours.index(condition_key(setting))
         at = places.index(condition_key(own)) + (number - (len(colours) - 1) / 2) * step
         _draw_point(axes, at, point, COLOURS[number % len(COLOURS)], 0.36 * step)
-    for number, one in enumerate(settings.values()):
-        text = condition_text(one, view.experiment.units)
+    for number, condition in enumerate(settings.values()):
+        text = condition_text(condition, view.experiment.units)
         axes.plot([], [], color=COLOURS[number % len(COLOURS)], linewidth=2, label=text)
     axes.legend(
         loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=min(len(colours), 4), frameon=False, fontsize=8

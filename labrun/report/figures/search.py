@@ -158,8 +158,8 @@ def _end_labels(axes: Axes, ends: Sequence[tuple[float, str, str]], last: int) -
     for share, _, _ in sorted(ends):
         places.append(max(share, places[-1] + gap) if places else share)
     excess = max(0.0, places[-1] - 1.0)
-    for place, (_, name, colour) in zip(places, sorted(ends), strict=True):
-        at = (last, place - excess)
+    for position, (_, name, colour) in zip(places, sorted(ends), strict=True):
+        at = (last, position - excess)
         beside(axes, name, at, va="center", fontsize=7.5, color=colour, annotation_clip=False)
 
 

@@ -105,17 +105,17 @@ class Axis:
 
 def axes_of(points: Sequence[Point]) -> list[Axis]:
     """Return what varies between conditions, in the order of the file."""
-    found = []
+    axes = []
     for name in points[0].condition if points else ():
         values = list(dict.fromkeys(point.condition[name] for point in points))
         if len(values) < 2:
             continue
         words = any(isinstance(value, str) for value in values)
         ordered = values if words else sorted(values, key=float)
-        found.append(Axis(name, tuple(ordered), is_grid=words or len(values) <= _MOST_GRID_VALUES))
-    if len(found) > 1 and all(len(axis.values) == len(points) for axis in found):
-        return [Axis(axis.name, axis.values, is_grid=axis.is_words) for axis in found]
-    return found
+        axes.append(Axis(name, tuple(ordered), is_grid=words or len(values) <= _MOST_GRID_VALUES))
+    if len(axes) > 1 and all(len(axis.values) == len(points) for axis in axes):
+        return [Axis(axis.name, axis.values, is_grid=axis.is_words) for axis in axes]
+    return axes
 
 
 def most_telling(points: Sequence[Point], axes: Sequence[Axis], count: int) -> list[Axis]:

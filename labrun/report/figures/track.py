@@ -58,15 +58,15 @@ def draw_track(view: RunView) -> Figure:
             2 * rows, across, sharex=True, sharey="row", squeeze=False, height_ratios=[1.7, 1.0] * rows
         )
         for number, loop in enumerate(track.loops):
-            for place in range(bands * across):
-                row, column = 2 * (number * bands + place // across), place % across
+            for index in range(bands * across):
+                row, column = 2 * (number * bands + index // across), index % across
                 above, below = grid[row][column], grid[row + 1][column]
-                if place >= len(shown):
+                if index >= len(shown):
                     above.set_visible(False)
                     below.set_visible(False)
                     continue
-                _draw(view, _panel(view, loop, shown[place]), above, below, first=column == 0)
-                if number == len(track.loops) - 1 and place + across >= len(shown):
+                _draw(view, _panel(view, loop, shown[index]), above, below, first=column == 0)
+                if number == len(track.loops) - 1 and index + across >= len(shown):
                     below.set_xlabel("time (s)")
                     below.tick_params(labelbottom=True)
         if objectives:
@@ -105,7 +105,7 @@ def _draw(view: RunView, panel: _Panel, above: Axes, below: Axes, *, first: bool
         for number, stream in enumerate(streams):
             above.plot(
                 stream.time_s,
-                turned_deg(*(_quaternions(stream, name, one) for one in ("feedback", "reference"))),
+                turned_deg(*(_quaternions(stream, name, signal) for signal in ("feedback", "reference"))),
                 color=COLOURS[number % len(COLOURS)],
                 linewidth=0.9,
                 alpha=0.75,

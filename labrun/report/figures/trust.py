@@ -19,12 +19,12 @@ from labrun.store import TrialOutcome
 MOST_PANELS = 4
 
 
-def draw_drift(view: RunView, found: Sequence[Drift]) -> Figure:
+def draw_drift(view: RunView, trends: Sequence[Drift]) -> Figure:
     """Return the figure as SVG, one panel an objective, at most `MOST_PANELS`.
 
     `view`: the run. `found`: its drift, from `labrun.report.statistics.drift`.
     """
-    shown = found[:MOST_PANELS]
+    shown = trends[:MOST_PANELS]
     with new_figure(7.4, 0.5 + 1.75 * len(shown)) as figure:
         rows: Any = figure.subplots(len(shown), 1, sharex=True, squeeze=False)
         for axes, item in zip(rows[:, 0], shown, strict=True):
