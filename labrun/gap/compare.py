@@ -226,15 +226,17 @@ class _Pair(Problem):
         *,
         central: bool = True,
         moving: NDArray[np.bool_] | None = None,
-        beside: Jacobian | None = None,
+        given_jacobian: Jacobian | None = None,
     ) -> Jacobian:
         """Return residuals and their derivatives; those by a difference are those by its variable, in one unit."""
         free = self.priors.free.tolist()
         of, differences = ([free.index(place) for place in places] for places in (self.places, self.slots))
         simulated = np.ones(self.size, dtype=bool) if moving is None else moving.copy()
         simulated[differences] = False
-        jacobian = super().jacobian(z, residual, central=central, moving=simulated, beside=beside)
-        if beside is None:
+        jacobian = super().jacobian(
+            z, residual, central=central, moving=simulated, given_jacobian=given_jacobian
+        )
+        if given_jacobian is None:
             for trial, shared in zip(self.data.trials, jacobian.shared, strict=True):
                 if trial.condition[UNIT] == SECOND:
                     shared[:, differences] = shared[:, of]

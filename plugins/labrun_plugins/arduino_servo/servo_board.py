@@ -307,32 +307,32 @@ def examine(name: str, board: ServoBoard, settings: BoardSettings) -> list[Remar
     if session.watchdog_ms == 0:  # nothing has moved yet: it can be tried
         remarks.append(_watchdog(name, session, settings.watchdog_ms))
     if session.counts.rejected:
-        found = (
+        text = (
             f"{session.counts.rejected} of {session.counts.rejected + session.counts.accepted} lines damaged"
         )
         advice = "use a shorter or shielded USB cable, away from the servos' supply; connect the grounds"
-        remarks.append(Remark("warning", name, found, advice))
+        remarks.append(Remark("warning", name, text, advice))
     return remarks
 
 
 def _firmware(name: str, hello: Hello) -> Remark:
-    found = f"firmware {hello.kind} {hello.firmware}"
+    text = f"firmware {hello.kind} {hello.firmware}"
     if hello.firmware.split(".")[0] != _MAJOR:
-        return Remark("problem", name, f"{found}; this driver knows {_MAJOR}.x", _FLASH)
-    return Remark("ok", name, found)
+        return Remark("problem", name, f"{text}; this driver knows {_MAJOR}.x", _FLASH)
+    return Remark("ok", name, text)
 
 
 def _channels(name: str, hello: Hello, needed: int) -> Remark:
-    found = f"{hello.channels} channels, {needed} needed"
+    text = f"{hello.channels} channels, {needed} needed"
     return Remark.judged(
-        hello.channels >= needed, name, found, f"add the pins to PINS and {_FLASH}", "problem"
+        hello.channels >= needed, name, text, f"add the pins to PINS and {_FLASH}", "problem"
     )
 
 
 def _rate(name: str, hello: Hello, rate_hz: float) -> Remark:
-    found = f"takes {hello.max_rate_hz:g} set-points/s, {rate_hz:g} are sent"
+    text = f"takes {hello.max_rate_hz:g} set-points/s, {rate_hz:g} are sent"
     advice = f"set rate_hz = {hello.max_rate_hz:g}"
-    return Remark.judged(hello.max_rate_hz >= rate_hz, name, found, advice, "problem")
+    return Remark.judged(hello.max_rate_hz >= rate_hz, name, text, advice, "problem")
 
 
 def _watchdog(name: str, session: LineSession, watchdog_ms: int) -> Remark:

@@ -147,7 +147,7 @@ def channels_of(joints: Mapping[str, Joint], pins: tuple[int, ...]) -> dict[str,
             )
         if pin not in pins:
             raise ValueError(f"pin {pin} of joint {joint} is none of the firmware's pins {pins}")
-        other = next((one for one, channel in channels.items() if pins[channel] == pin), None)
+        other = next((name for name, channel in channels.items() if pins[channel] == pin), None)
         if other is not None:
             raise ValueError(f"joints {other} and {joint} both have pin {pin}; give each a pin of its own")
         channels[joint] = pins.index(pin)

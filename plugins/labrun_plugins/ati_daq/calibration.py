@@ -82,11 +82,11 @@ def parse(data: bytes) -> Calibration:
     calibrations = strict_xml.find_all(root, "Calibration")
     if len(calibrations) != 1:
         raise CalibrationError(f"it holds {len(calibrations)} calibrations, one is expected")
-    told = _told(root, calibrations[0])
-    gauges = told.get("NumGages", str(GAUGES))
+    attributes = _told(root, calibrations[0])
+    gauges = attributes.get("NumGages", str(GAUGES))
     if gauges.strip() != str(GAUGES):
         raise CalibrationError(f"NumGages = {gauges!r}: only sensors with {GAUGES} gauges are supported")
-    force, torque = _unit(told, "ForceUnits"), _unit(told, "TorqueUnits")
+    force, torque = _unit(attributes, "ForceUnits"), _unit(attributes, "TorqueUnits")
     axes = _axes(calibrations[0])
     si = np.array([force] * 3 + [torque] * 3)
     matrix = np.array([_row(axes[name], name) for name in AXES]) * si[:, None]
@@ -97,33 +97,33 @@ def parse(data: bytes) -> Calibration:
         raise CalibrationError(
             "its six axes do not tell six loads apart: two of them are multiples of each other"
         )
-    return Calibration(matrix, maximum, told)
+    return Calibration(matrix, maximum, attributes)
 
 
 def _attribute(element: Element, name: str) -> str | None:
-    found = [value for key, value in element.items() if key.lower() == name.lower()]
-    if len(found) > 1:
-        raise CalibrationError(f"<{element.tag}> gives {name} {len(found)} times")
-    return found[0] if found else None
+    values = [value for key, value in element.items() if key.lower() == name.lower()]
+    if len(values) > 1:
+        raise CalibrationError(f"<{element.tag}> gives {name} {len(values)} times")
+    return values[0] if values else None
 
 
 def _told(root: Element, calibration: Element) -> dict[str, str]:
-    told = {}
+    attributes = {}
     for name in _TOLD:
         for element in (root, calibration):
             value = _attribute(element, name)
             if value is not None:
                 if len(value) > _LONGEST_TEXT or not value.isprintable():
                     raise CalibrationError(f"{name} is no text of up to {_LONGEST_TEXT} letters")
-                told[name] = value
+                attributes[name] = value
     for element in strict_xml.find_all(calibration, "BasicTransform"):
         values = (f"{key} {value[:20]}" for key, value in sorted(element.items()) if value.isprintable())
-        told["BasicTransform"] = ", ".join(values)[:_LONGEST_TEXT]
-    return told
+        attributes["BasicTransform"] = ", ".join(values)[:_LONGEST_TEXT]
+    return attributes
 
 
-def _unit(told: dict[str, str], name: str) -> float:
-    text = told.get(name)
+def _unit(calibration_table: dict[str, str], name: str) -> float:
+    text = calibration_table.get(name)
     if text is None:
         raise CalibrationError(f"it does not give {name}")
     value = units.newtons_per(text) if name == "ForceUnits" else units.newton_metres_per(text)

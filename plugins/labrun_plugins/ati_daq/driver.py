@@ -160,12 +160,14 @@ def _stream(reception: Reception, settings: AtiDaqSettings, rate_hz: float) -> I
 
 
 def _calibration(calibration: Calibration, settings: AtiDaqSettings) -> Iterator[Remark]:
-    told = calibration.told
-    said = ", ".join(
-        f"{key} {told[key]}" for key in ("Serial", "PartNumber", "CalDate", "HWTempComp") if key in told
+    attributes = calibration.told
+    text = ", ".join(
+        f"{key} {attributes[key]}"
+        for key in ("Serial", "PartNumber", "CalDate", "HWTempComp")
+        if key in attributes
     )
-    yield Remark("ok", "calibration", said or "the file names no sensor", "compare with the sensor's label")
-    output = " ".join(told[key] for key in ("OutputMode", "OutputRange") if key in told)
+    yield Remark("ok", "calibration", text or "the file names no sensor", "compare with the sensor's label")
+    output = " ".join(attributes[key] for key in ("OutputMode", "OutputRange") if key in attributes)
     if output:
         advice = f"should fit wiring = {settings.wiring!r} and inputs of +-{settings.range_v:g} V"
         yield Remark("ok", "output", f"the file says: {output}", advice)

@@ -269,8 +269,8 @@ class SocketReader:
                 f"cannot be reached: {reason}",
                 "start the program that serves the voltages; see server and server_port",
             ) from None
-        word, _, told = line.partition(" ")
-        rate, _, told = told.partition(" ")
+        word, _, argument = line.partition(" ")
+        rate, _, argument = argument.partition(" ")
         try:
             true_hz = float(rate) if word == "voltages" else 0.0
         except ValueError:
@@ -280,7 +280,7 @@ class SocketReader:
             raise self._error(
                 f"answers {line[:40]!r} to start", "it should answer: voltages <rate> <model> <serial>"
             )
-        model, _, serial = told.partition(" ")
+        model, _, serial = argument.partition(" ")
         self._card = Card(model or "voltage server", serial)
         self._waiting = self._parser.feed(rest)
         connection.settimeout(_WAIT_S)

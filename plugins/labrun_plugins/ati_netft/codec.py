@@ -162,10 +162,10 @@ BITS = {
 
 def words(status: int) -> str:
     """Return what a status says, for example ``"transducer saturated or A/D error (status 80020000)"``."""
-    said = [text for bit, text in BITS.items() if status & bit]
-    if not said:
-        said = ["error without a reason"] if status & ERROR else ["unknown bits" if status else "healthy"]
-    return f"{', '.join(said)} (status {status:08X})"
+    problems = [text for bit, text in BITS.items() if status & bit]
+    if not problems:
+        problems = ["error without a reason"] if status & ERROR else ["unknown bits" if status else "healthy"]
+    return f"{', '.join(problems)} (status {status:08X})"
 
 
 def status_of(records: Records) -> NDArray[np.int64]:

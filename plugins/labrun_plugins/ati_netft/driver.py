@@ -42,10 +42,10 @@ def stream(
 
     `counted`: what is said about the records. `rate_hz`: of the samples that are handed over.
     """
-    counts, measured, told = reception.sequencer.counts, reception.rate_hz(), info.rate_hz
-    if abs(measured / told - 1.0) > _RATE_TOLERANCE:
+    counts, measured, stated_hz = reception.sequencer.counts, reception.rate_hz(), info.rate_hz
+    if abs(measured / stated_hz - 1.0) > _RATE_TOLERANCE:
         advice = f"look at the RDT output rate on http://{settings.host}/comm.htm, and for another program"
-        yield Remark("warning", "rate", f"says {told:g} samples/s, sends {measured:.5g}", advice)
+        yield Remark("warning", "rate", f"says {stated_hz:g} samples/s, sends {measured:.5g}", advice)
     else:
         yield Remark("ok", "rate", f"{measured:.5g} records/s; {rate_hz:g} samples/s are handed over")
     advice = (
@@ -77,11 +77,11 @@ def _buffer(name: str, clock: Clock, info: BoxInfo, settings: AtiNetFtSettings, 
 
 
 def _units(info: BoxInfo, settings: AtiNetFtSettings) -> Remark:
-    said = (
+    stated = (
         f"{info.counts_per_force:g} counts per {info.force_unit}, "
         f"{info.counts_per_torque:g} per {info.torque_unit}; range as of {settings.calibration}"
     )
-    return Remark("ok", "units", said, "compare with the calibration certificate")
+    return Remark("ok", "units", stated, "compare with the calibration certificate")
 
 
 def _tcp(info: BoxInfo, settings: AtiNetFtSettings, own: str) -> Iterator[Remark]:
@@ -106,10 +106,10 @@ def _tcp(info: BoxInfo, settings: AtiNetFtSettings, own: str) -> Iterator[Remark
         and calibration.counts_per_force == info.counts_per_force
         and calibration.counts_per_torque == info.counts_per_torque
     )
-    said = f"{calibration.counts_per_force} counts per {force or 'unknown unit'}, "
-    said += f"{calibration.counts_per_torque} per {torque or 'unknown unit'}; {codec.words(decoded.status)}"
+    stated = f"{calibration.counts_per_force} counts per {force or 'unknown unit'}, "
+    stated += f"{calibration.counts_per_torque} per {torque or 'unknown unit'}; {codec.words(decoded.status)}"
     advice = "its web page and its TCP port disagree about units: choose the calibration again and restart it"
-    yield Remark.judged(agrees, where, said, advice, "problem")
+    yield Remark.judged(agrees, where, stated, advice, "problem")
 
 
 _NEAR_END = 0.9

@@ -100,10 +100,10 @@ def parse(data: bytes) -> BoxInfo:
 
 
 def _optional(root: Element, name: str) -> str:
-    found = strict_xml.find_all(root, name)
-    if len(found) > 1:
-        raise BoxInfoError(f"netftapi2.xml gives {name} {len(found)} times")
-    text = (found[0].text or "").strip() if found else ""
+    elements = strict_xml.find_all(root, name)
+    if len(elements) > 1:
+        raise BoxInfoError(f"netftapi2.xml gives {name} {len(elements)} times")
+    text = (elements[0].text or "").strip() if elements else ""
     if len(text) > _LONGEST_TEXT or not text.isprintable():
         raise BoxInfoError(f"{name} of netftapi2.xml is no text of up to {_LONGEST_TEXT} letters")
     return text
@@ -301,9 +301,9 @@ def ask_status(device: str, settings: AtiNetFtSettings, clock: Clock, own: str) 
                         return int(records["status"][-1])
     finally:
         box.close()
-    found = f", but {malformed} datagrams of a wrong length" if malformed else ""
+    malformed_note = f", but {malformed} datagrams of a wrong length" if malformed else ""
     raise DeviceError(
         device,
-        f"no sample from {settings.host}, UDP port {settings.rdt_port}, to {_TRIES} requests{found}",
+        f"no sample from {settings.host}, UDP port {settings.rdt_port}, to {_TRIES} requests{malformed_note}",
         hint="enable RDT on its web page (Communications), and let UDP pass the firewall of this computer",
     )

@@ -359,9 +359,9 @@ class Reception:
             return
         self.settle()
         malformed = self._source.malformed
-        found = f"; {malformed} datagrams were of a wrong length" if malformed else ""
+        malformed_note = f"; {malformed} datagrams were of a wrong length" if malformed else ""
         raise DeviceError(
             self._device,
-            f"no datagram for {1e3 * quiet_s:.0f} ms ({self._info.rate_hz:g} samples/s expected){found}",
+            f"no datagram for {1e3 * quiet_s:.0f} ms ({self._info.rate_hz:g} samples/s expected){malformed_note}",
             hint="check its power and network cable, and that no other program reads the box: it sends to one alone",
         )

@@ -37,4 +37,4 @@ def parse(data: bytes, most_bytes: int) -> Element:
 
 def find_all(root: Element, name: str) -> list[Element]:
     """Return all elements of this name below the root, whatever the case of its letters, at any depth."""
-    return [one for one in root.iter() if one is not root and one.tag.lower() == name.lower()]
+    return [element for element in root.iter() if element is not root and element.tag.lower() == name.lower()]

@@ -238,7 +238,7 @@ class Bno055(ListeningSensor):
             self._offsets = chip.set_up(self._settings)
         self._sampling = Sampling(
             self.name, chip, self.clock, self._buffer,
-            rate_hz=self.rate_hz, jump_rad_s=float(np.radians(self._settings.jump_deg_s)), told=self._note_state,
+            rate_hz=self.rate_hz, jump_rad_s=float(np.radians(self._settings.jump_deg_s)), note_state=self._note_state,
         )  # fmt: skip
         self._listen(self._sampling.receive)
 

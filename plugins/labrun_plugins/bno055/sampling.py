@@ -32,9 +32,9 @@ def tilt(quaternion: FloatArray) -> float:
     return 2.0 * math.atan2(math.hypot(x, y), math.hypot(w, z))
 
 
-def turn_between(one: FloatArray, other: FloatArray) -> float:
+def turn_between(first: FloatArray, other: FloatArray) -> float:
     """Return the angle (rad, 0 ... pi) by which two unit quaternions differ; q and -q are the same orientation."""
-    return 2.0 * math.acos(min(1.0, abs(float(np.dot(one, other)))))
+    return 2.0 * math.acos(min(1.0, abs(float(np.dot(first, other)))))
 
 
 def up_in_body(quaternion: FloatArray) -> FloatArray:
@@ -153,14 +153,14 @@ class Sampling:
         *,
         rate_hz: float,
         jump_rad_s: float,
-        told: Callable[[codec.State], None],
+        note_state: Callable[[codec.State], None],
     ) -> None:
         self._device = device
         self._chip = chip
         self._clock = clock
         self._buffer = buffer
         self._period_s = 1.0 / rate_hz
-        self._told = told
+        self._told = note_state
         self.plausibility = Plausibility(jump_rad_s)
         now_s = clock.now()
         self._due_s = now_s

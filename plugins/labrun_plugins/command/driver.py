@@ -107,16 +107,18 @@ def read_table(path: Path, columns: Sequence[str], time: str | None) -> tuple[Fl
 def _numbers(path: Path, line: int, row: list[str], header: list[str], places: list[int]) -> list[float]:
     if len(row) != len(header):
         raise TableError(f"{path.name}, line {line}: {len(row)} values under {len(header)} headings")
-    found = []
-    for place in places:
+    numbers = []
+    for position in places:
         try:
-            value = float(row[place])
+            value = float(row[position])
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise TableError(f"{path.name}, line {line}: {header[place]} = {row[place][:40]!r} is no number")
-        found.append(value)
-    return found
+            raise TableError(
+                f"{path.name}, line {line}: {header[position]} = {row[position][:40]!r} is no number"
+            )
+        numbers.append(value)
+    return numbers
 
 
 _LOOK_S = 0.05
@@ -313,12 +315,12 @@ class Command:
         self._times_s = np.arange(len(rows)) / self.rate_hz if times is None else times
 
     def _fail(self, what: str, hint: str) -> NoReturn:
-        said = ""
+        reason = ""
         if self._said is not None:
             size = self._said.seek(0, 2)
             self._said.seek(max(0, size - _LAST_WORDS))
-            said = self._said.read().decode(errors="replace").strip()
-        last = f"; it said last: {said.splitlines()[-1]}" if said else "; it said nothing"
+            reason = self._said.read().decode(errors="replace").strip()
+        last = f"; it said last: {reason.splitlines()[-1]}" if reason else "; it said nothing"
         self._process = None
         raise DeviceError(self.name, f"{what}{last}", hint=f"{hint}; nothing else is lost")
 

@@ -165,7 +165,7 @@ class Bus:
     def scan(self, patience_s: float) -> dict[int, tuple[int, int]]:
         """Ask everybody who is there; return id -> (model number, firmware)."""
         port, handler = self._parts()
-        found: dict[int, tuple[int, int]] = {}
+        models: dict[int, tuple[int, int]] = {}
         with self._question():
             packet = [0] * 10
             packet[4:8] = [BROADCAST, 3, 0, 1]
@@ -173,8 +173,8 @@ class Bus:
             port.setPacketTimeoutMillis(1e3 * patience_s)
             while (status := handler.status(port)) is not None:
                 if len(status.data) == _PING_BYTES:
-                    found[status.id] = int.from_bytes(status.data[:2], "little"), status.data[2]
-        return found
+                    models[status.id] = int.from_bytes(status.data[:2], "little"), status.data[2]
+        return models
 
     def read(self, identity: int, register: Register) -> int:
         """Return a register's value. Raises DeviceError: no answer, or a refusal."""
@@ -309,9 +309,9 @@ class Bus:
             handler.syncReadTx(port, block.address, block.size, list(ids), len(ids), fast)
             if patience_s is not None:
                 port.setPacketTimeoutMillis(1e3 * patience_s)
-            found = self._fast_answers(ids, block) if fast else self._answers(ids, block)
-            self._unsettled = len(found) < len(ids)
-            return {identity: status for identity, status in found.items() if not status.refusal}
+            answers = self._fast_answers(ids, block) if fast else self._answers(ids, block)
+            self._unsettled = len(answers) < len(ids)
+            return {identity: status for identity, status in answers.items() if not status.refusal}
         finally:
             self._lock.release()
 
@@ -328,17 +328,17 @@ class Bus:
         """
         port, handler = self._parts()
         self._give_way()
-        found: dict[int, Status] = {}
+        answers: dict[int, Status] = {}
         with self._lock:
             port.setPacketTimeoutMillis(1e3 * _HEAR_S)
-            while len(found) < len(ids) and (status := handler.status(port)) is not None:
+            while len(answers) < len(ids) and (status := handler.status(port)) is not None:
                 if status.id == BROADCAST:
-                    found = split_fast(status, ids, block.size) or {}
+                    answers = split_fast(status, ids, block.size) or {}
                 elif len(status.data) == block.size:
                     # another's answer to the question before was lost
-                    found = {} if status.id in found else found
-                    found[status.id] = status
-        return found if len(found) == len(ids) else {}
+                    answers = {} if status.id in answers else answers
+                    answers[status.id] = status
+        return answers if len(answers) == len(ids) else {}
 
     def spoken(self) -> None:
         """Take note that somebody else has kept the bus busy up to now."""
@@ -352,13 +352,13 @@ class Bus:
 
     def require(self, ids: Sequence[int], block: Block) -> dict[int, Status]:
         """Read a block of several servos, all of them. Raises DeviceError: one of them does not answer, or refuses."""
-        found: dict[int, Status] = {}
+        statuses: dict[int, Status] = {}
         for _ in range(TRIES):
-            found |= self.group_read([identity for identity in ids if identity not in found], block)
-            if len(found) == len(ids):
+            statuses |= self.group_read([identity for identity in ids if identity not in statuses], block)
+            if len(statuses) == len(ids):
                 break
         # One by one the others are heard: in a group a servo that is silent may keep those after it waiting.
-        return {i: found[i] if i in found else self._read_status(i, block) for i in ids}
+        return {i: statuses[i] if i in statuses else self._read_status(i, block) for i in ids}
 
     def silent(self, ids: Sequence[int], *, damaged: bool = False) -> DeviceError:
         """Return the error for servos that do not answer, or only with noise."""
@@ -371,13 +371,13 @@ class Bus:
 
     def _answers(self, ids: Sequence[int], block: Block) -> dict[int, Status]:
         port, handler = self._parts()
-        found: dict[int, Status] = {}
-        while len(found) < len(ids) and (status := handler.status(port)) is not None:
+        statuses: dict[int, Status] = {}
+        while len(statuses) < len(ids) and (status := handler.status(port)) is not None:
             if status.id not in ids:
                 handler.strangers.add(status.id)
             elif len(status.data) == block.size or (not status.data and status.refusal):
-                found[status.id] = status
-        return found
+                statuses[status.id] = status
+        return statuses
 
     def _fast_answers(self, ids: Sequence[int], block: Block) -> dict[int, Status]:
         port, handler = self._parts()

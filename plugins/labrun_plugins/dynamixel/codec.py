@@ -118,22 +118,22 @@ class StatusParser:
     def feed(self, data: bytes) -> list[Status]:
         """Return the packets that are whole now."""
         self._buffer += data
-        found: list[Status] = []
+        statuses: list[Status] = []
         while True:
             start = self._buffer.find(HEADER)
             if start < 0:
                 self._skip(self._harmless_prefix())
-                return found
+                return statuses
             self._skip(start)
             if len(self._buffer) < _PREFIX:
-                return found
+                return statuses
             length = int.from_bytes(self._buffer[5:7], "little")
             identity = self._buffer[4]
             if not _LEAST_LENGTH <= length <= _MOST_LENGTH or identity in (0xFD, 0xFF):
                 self._skip(1)
                 continue
             if len(self._buffer) == _PREFIX:
-                return found
+                return statuses
             answer = self._buffer[_PREFIX] == STATUS
             stuffed = not (answer and identity == BROADCAST)
             whole = _PREFIX + length
@@ -145,7 +145,7 @@ class StatusParser:
                 del self._buffer[:inner]
                 continue
             if len(self._buffer) < whole:
-                return found
+                return statuses
             raw = bytes(self._buffer[:whole])
             short = answer and length == _LEAST_LENGTH  # no room for an error byte: no servo says that
             if short or crc16(raw[:-2]) != int.from_bytes(raw[-2:], "little"):
@@ -155,7 +155,7 @@ class StatusParser:
             del self._buffer[:whole]
             if answer:  # else an instruction: the echo of our own words
                 body = unstuff(raw[8:-2]) if stuffed else raw[8:-2]
-                found.append(Status(identity, body[0], body[1:], raw))
+                statuses.append(Status(identity, body[0], body[1:], raw))
 
     def _harmless_prefix(self) -> int:
         """Return how many bytes cannot be part of a header that is still arriving."""
@@ -184,11 +184,11 @@ def split_fast(status: Status, ids: Sequence[int], length: int) -> dict[int, Sta
     body = status.raw[8:]
     if status.id != BROADCAST or len(body) != block * len(ids):
         return None
-    found: dict[int, Status] = {}
+    statuses: dict[int, Status] = {}
     for number, wanted in enumerate(ids):
         part = body[number * block : (number + 1) * block]
         end = 8 + (number + 1) * block
         if part[1] != wanted or crc16(status.raw[: end - 2]) != int.from_bytes(part[-2:], "little"):
             return None
-        found[wanted] = Status(wanted, part[0], part[2:-2], part)
-    return found
+        statuses[wanted] = Status(wanted, part[0], part[2:-2], part)
+    return statuses

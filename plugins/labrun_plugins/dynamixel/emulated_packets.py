@@ -40,12 +40,12 @@ def _with_stuffing(body: Sequence[int]) -> list[int]:
 def _without_stuffing(body: Sequence[int]) -> list[int]:
     kept: list[int] = []
     skip = False
-    for place, byte in enumerate(body):
+    for index, byte in enumerate(body):
         if skip:
             skip = False
             continue
         kept.append(byte)
-        skip = tuple(body[max(0, place - 2) : place + 1]) == _MARK and body[place + 1 : place + 2] == [0xFD]
+        skip = tuple(body[max(0, index - 2) : index + 1]) == _MARK and body[index + 1 : index + 2] == [0xFD]
     return kept
 
 
@@ -96,15 +96,15 @@ class InstructionReader:
 
     def feed(self, data: bytes) -> list[Instruction]:
         """Return the instructions that are whole now."""
-        found = []
+        writes = []
         for byte in data:
             self._packet.append(byte)
             if whole := self._whole():
                 if (instruction := self._instruction(whole)) is not None:
-                    found.append(instruction)
+                    writes.append(instruction)
             else:
                 self._realign()
-        return found
+        return writes
 
     def _realign(self) -> None:
         """Begin again at a header: unstuffed it can stand nowhere else."""
@@ -112,8 +112,8 @@ class InstructionReader:
         if len(packet) > 4 and packet[-4:] == [*_MARK, 0]:
             self._packet = packet[-4:]
             return
-        for place, wanted in enumerate((*_MARK, 0)):
-            if place < len(packet) <= 4 and packet[place] != wanted:
+        for index, wanted in enumerate((*_MARK, 0)):
+            if index < len(packet) <= 4 and packet[index] != wanted:
                 # FF FF FF FD: the first of three may have been noise
                 self._packet = (
                     packet[1:] if packet == [0xFF, 0xFF, 0xFF] else ([0xFF] if packet[-1] == 0xFF else [])

@@ -125,13 +125,13 @@ class Table:
 
     def read(self, address: int, length: int) -> bytes:
         """Return bytes. Raises Refusal: there is nothing at one of these addresses."""
-        found = bytearray()
-        for place in range(address, address + length):
-            target = self._target(place)
+        status_packet = bytearray()
+        for index in range(address, address + length):
+            target = self._target(index)
             if target not in self._owner:
                 raise Refusal(ACCESS)
-            found.append(self._memory[target])
-        return bytes(found)
+            status_packet.append(self._memory[target])
+        return bytes(status_packet)
 
     def check(self, address: int, data: bytes) -> list[tuple[Entry, int]]:
         """Return the lines that data would write, and their new values.
@@ -140,8 +140,8 @@ class Table:
         """
         changed = dict(zip((self._target(address + n) for n in range(len(data))), data, strict=True))
         touched: list[Entry] = []
-        for place in changed:
-            line = self._owner.get(place)
+        for register_address in changed:
+            line = self._owner.get(register_address)
             if line is None or line.access == "read" or (line.access == "eeprom" and self.get(64)):
                 raise Refusal(ACCESS)
             if line not in touched:
@@ -149,7 +149,7 @@ class Table:
         written = []
         for line in touched:
             places = range(line.address, line.address + line.size)
-            if any(place not in changed for place in places):
+            if any(position not in changed for position in places):
                 raise Refusal(LENGTH)
             value = int.from_bytes(bytes(changed[p] for p in places), "little", signed=line.low < 0)
             if not line.low <= value <= line.high:
@@ -224,8 +224,8 @@ class EmulatedShaft:
             return due_s
         self._advance(now_s)
         shaft = replace(SHAFT, speed_rad_s=self._most_rad_s)
-        told = Trajectory((self._joint,), np.zeros(1), np.array([[self._goal_rad]]))
-        self._turn(shaft.motion(self._joint, told, self._angle_rad, self._speed_rad_s), now_s)
+        goal = Trajectory((self._joint,), np.zeros(1), np.array([[self._goal_rad]]))
+        self._turn(shaft.motion(self._joint, goal, self._angle_rad, self._speed_rad_s), now_s)
         self._told_s = now_s
         return math.inf
 

@@ -82,7 +82,7 @@ class EmulatedBus:
         everybody = instruction.id == wire.EVERYBODY
         answers: list[Answer] = []
         leaves_s = now_s
-        for servo in sorted(listening, key=lambda one: one.id):
+        for servo in sorted(listening, key=lambda candidate: candidate.id):
             own, shadow = servo.id == instruction.id, servo.table.get(12) == instruction.id
             if not (own or shadow or everybody):
                 continue
@@ -216,8 +216,8 @@ class EmulatedBus:
         servo.restart(now_s)
 
 
-def _u16(data: bytes, place: int) -> int:
-    return int.from_bytes(data[place : place + 2], "little")
+def _u16(data: bytes, offset: int) -> int:
+    return int.from_bytes(data[offset : offset + 2], "little")
 
 
 def _wanted(instruction: Instruction) -> list[tuple[int, int, int]]:
@@ -231,7 +231,7 @@ def _wanted(instruction: Instruction) -> list[tuple[int, int, int]]:
 def _writes(instruction: Instruction) -> list[tuple[int, int, bytes]]:
     """Return (id, address, data) of a group write, in its order."""
     given = instruction.parameters
-    found = []
+    writes = []
     if instruction.code == wire.SYNC_WRITE:
         address, length = _u16(given, 0), _u16(given, 2)
         starts = range(4, len(given) - length, length + 1)
@@ -242,9 +242,9 @@ def _writes(instruction: Instruction) -> list[tuple[int, int, bytes]]:
         data = given[n + 5 : n + 5 + length]
         if len(data) < length:
             break
-        found.append((given[n], _u16(given, n + 1), data))
+        writes.append((given[n], _u16(given, n + 1), data))
         n += 5 + length
-    return found
+    return writes
 
 
 _MODEL, _FIRMWARE = 1030, 46

@@ -87,11 +87,11 @@ def find_servos(bus: Bus, settings: DynamixelSettings) -> list[Servo]:
     Raises DeviceError: one does not answer (says who does), is of an unknown model, or cannot measure what the stream
     shall hold.
     """
-    found = {joint: bus.ping(table.id) for joint, table in settings.joints.items()}
-    if None in found.values():
-        raise _missing(bus, settings, [joint for joint, answer in found.items() if answer is None])
+    models = {joint: bus.ping(table.id) for joint, table in settings.joints.items()}
+    if None in models.values():
+        raise _missing(bus, settings, [joint for joint, answer in models.items() if answer is None])
     servos = []
-    for joint, answer in found.items():
+    for joint, answer in models.items():
         assert answer is not None  # noqa: S101  raised above
         number, firmware = answer
         model = MODELS.get(number)
@@ -125,7 +125,7 @@ def set_up(bus: Bus, servo: Servo, scale: Scale, settings: DynamixelSettings, cl
         bus.write(servo.id, TORQUE_ENABLE, 0)  # EEPROM is locked while the torque is on
         servo.notes.append("torque switched off to change its set-up")
     # The mode first: it may reset others. Limits that would cross on the way are told apart by their order.
-    for register in sorted(changes, key=lambda one: one is not OPERATING_MODE):
+    for register in sorted(changes, key=lambda change: change is not OPERATING_MODE):
         bus.write(servo.id, register, changes[register])
         servo.notes.append(f"{register.name} {servo.found[register.name]} -> {changes[register]}")
     temporary = {PROFILE_ACCELERATION: 0, PROFILE_VELOCITY: 0}
@@ -170,14 +170,14 @@ def _clear_errors(bus: Bus, servo: Servo, clock: Clock) -> None:
 
 
 def _read_back(bus: Bus, servo: Servo, register: Register, value: int) -> None:
-    found = bus.read(servo.id, register)
-    if found != value:
+    stored = bus.read(servo.id, register)
+    if stored != value:
         raise DeviceError(
             bus.device,
-            f"{bus.who([servo.id])} took {register.name} = {value}, but reads back {found}",
+            f"{bus.who([servo.id])} took {register.name} = {value}, but reads back {stored}",
             hint="another servo with the same id, or another program on the bus, writes too",
         )
-    servo.now[register.name] = found
+    servo.now[register.name] = stored
 
 
 def _check_feedback(device: str, joint: str, model: Model, settings: DynamixelSettings) -> None:
@@ -308,15 +308,17 @@ def probe(port: str, clock: Clock) -> Identity | None:
         bus = Bus("probe", port, baud, clock, {})
         try:
             bus.open()
-            found = bus.scan(_PROBE_S)
+            scanned = bus.scan(_PROBE_S)
         except DeviceError:
             return None
         finally:
             bus.close()
-        if found:
-            servos = {f"id {i}": _named(number, firmware) for i, (number, firmware) in sorted(found.items())}
+        if scanned:
+            servos = {
+                f"id {i}": _named(number, firmware) for i, (number, firmware) in sorted(scanned.items())
+            }
             models = sorted(
-                {MODELS[number].name if number in MODELS else "?" for number, _ in found.values()}
+                {MODELS[number].name if number in MODELS else "?" for number, _ in scanned.values()}
             )
             return Identity(f"Dynamixel {', '.join(models)}", details={"baud": str(baud), **servos})
     return None
@@ -324,8 +326,8 @@ def probe(port: str, clock: Clock) -> Identity | None:
 
 def remarks(bus: Bus, servos: Sequence[Servo], settings: DynamixelSettings, clock: Clock) -> list[Remark]:
     """Look at an opened bus. Raises DeviceError: a servo does not answer."""
-    found = [remark for servo in servos for remark in _of_servo(bus, servo)]
-    return [*found, *_of_bus(bus, servos, settings, clock)]
+    checks = [remark for servo in servos for remark in _of_servo(bus, servo)]
+    return [*checks, *_of_bus(bus, servos, settings, clock)]
 
 
 def _of_servo(bus: Bus, servo: Servo) -> Iterator[Remark]:

@@ -179,18 +179,18 @@ class LineMachine:
         if any(not 0x20 <= byte < 0x7F for byte in body):
             return None
         self._last_good_s = now_s
-        word, *args = (one.decode("ascii") for one in fields)
+        word, *args = (field.decode("ascii") for field in fields)
         # STOP and WD act every time: both can be done twice, and neither may be answered from memory.
         again = next((answer for asked, answer in self._answered if asked == body), None)
         if again is not None and word not in {"STOP", "WD"}:
             self._note("repeated", word=word, seq=int(seq))
             return again
         try:
-            told = ("OK", word, *self._carry_out(word, args, now_s))
+            reply = ("OK", word, *self._carry_out(word, args, now_s))
         except RefusalError as refusal:
             self._note("refused", word=word, code=refusal.code, detail=refusal.detail)
-            told = ("ERR", refusal.code, *((refusal.detail,) if refusal.detail else ()))
-        answer = sealed(f"{int(seq)},{','.join(told)}")
+            reply = ("ERR", refusal.code, *((refusal.detail,) if refusal.detail else ()))
+        answer = sealed(f"{int(seq)},{','.join(reply)}")
         self._answered.append((body, answer))
         return answer
 

@@ -96,20 +96,20 @@ class LineParser:
 
     def feed(self, data: bytes) -> list[Line]:
         """Return the lines that these bytes complete. Keeps at most one line's bytes; never raises."""
-        found: list[Line] = []
+        lines: list[Line] = []
         *ended, rest = data.split(b"\n")
         for piece in ended:
             self._keep(piece)
             line = decode(bytes(self._rest))
             if line is not None:
                 self.accepted += 1
-                found.append(line)
+                lines.append(line)
             elif self._rest or self._cut:
                 self.rejected += 1
             self._rest.clear()
             self._cut = False
         self._keep(rest)
-        return found
+        return lines
 
     def reset(self) -> None:
         """Forget the beginning of a line, and the counts."""

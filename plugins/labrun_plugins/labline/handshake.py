@@ -121,12 +121,12 @@ class _Talk:
         for _ in range(reads):
             data = self._port.read()
             self._received += len(data)
-            found = None
+            previous = None
             for line in self._parser.feed(data):
                 self.booted = self.booted or _is_boot(line)
-                found = found or (line if wanted(line) else None)
-            if found is not None:
-                return found
+                previous = previous or (line if wanted(line) else None)
+            if previous is not None:
+                return previous
             if self.strange:
                 return None
         return None

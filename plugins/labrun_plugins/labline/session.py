@@ -47,9 +47,9 @@ class LineRefusedError(DeviceError):
 
     def __init__(self, device: str, word: str, code: str, detail: str = "") -> None:
         why, hint = _CODES.get(code, _OTHER)
-        told = why.format(word=word, where=f" ({detail})" if detail else "")
+        message = why.format(word=word, where=f" ({detail})" if detail else "")
         answer = f"ERR,{code}" + (f",{detail}" if detail else "")
-        super().__init__(device, f"{told} (answer {answer} to {word})", hint=hint)
+        super().__init__(device, f"{message} (answer {answer} to {word})", hint=hint)
         self.word = word
         self.code = code
         self.detail = detail

@@ -50,15 +50,15 @@ def examine(
     clock: Clock,
 ) -> list[Remark]:
     """Return what was found; moves nothing, streams for a second."""
-    found = [
+    remarks = [
         Remark("ok", "firmware", f"{hello.kind} {hello.firmware}, up to {hello.max_rate_hz:g} samples/s"),
         _watchdog(settings),
         *_state(state, settings),
         _calibration(settings),
     ]
-    found += _stream(stage, settings, clock)
+    remarks += _stream(stage, settings, clock)
     if session.counts.rejected:
-        found.append(
+        remarks.append(
             Remark(
                 "warning",
                 "line",
@@ -66,7 +66,7 @@ def examine(
                 "shorten the USB cable, and keep it away from the motor's wires",
             )
         )
-    return found
+    return remarks
 
 
 def _watchdog(settings: LinearStageSettings) -> Remark:
@@ -94,18 +94,18 @@ def _calibration(settings: LinearStageSettings) -> Remark:
         )  # fmt: skip
     line = calibration.line
     of_range = settings.limits.force_n or abs(line.slope_n_per_count) * 2.0**22
-    told = f"{line.slope_n_per_count:.4g} N/count, {line.offset_counts:.0f} counts without load"
+    law = f"{line.slope_n_per_count:.4g} N/count, {line.offset_counts:.0f} counts without load"
     if line.residual_n is not None and line.residual_n > _POOR_RESIDUAL * of_range:
         return Remark(
-            "warning", "calibration", f"{told}; its points scatter by {line.residual_n:.2g} N",
+            "warning", "calibration", f"{law}; its points scatter by {line.residual_n:.2g} N",
             "calibrate anew: the cell creeps, slips or was loaded off its axis",
         )  # fmt: skip
     if calibration.date is None:
-        return Remark("warning", "calibration", f"{told}; without a date", "write the date into its table")
+        return Remark("warning", "calibration", f"{law}; without a date", "write the date into its table")
     age = (datetime.datetime.now(datetime.UTC).date() - calibration.date).days
     if age > _OLD_DAYS:
-        return Remark("warning", "calibration", f"{told}; {age} days old", "calibrate anew")
-    return Remark("ok", "calibration", f"{told}; of {calibration.date}")
+        return Remark("warning", "calibration", f"{law}; {age} days old", "calibrate anew")
+    return Remark("ok", "calibration", f"{law}; of {calibration.date}")
 
 
 def _stream(stage: "LinearStage", settings: LinearStageSettings, clock: Clock) -> list[Remark]:
@@ -131,7 +131,7 @@ def _stream(stage: "LinearStage", settings: LinearStageSettings, clock: Clock) -
         f"{rate_hz:.1f} samples/s by its own clock, {samples.lost} lost, "
         f"counts {counts.mean():.0f} with a spread of {counts.std():.0f}"
     )
-    if any(is_saturated(int(one)) for one in counts):
+    if any(is_saturated(int(count)) for count in counts):
         return [
             Remark("problem", "load cell", message, "it is at the end of its range: check its four wires")
         ]

@@ -339,15 +339,15 @@ def complaints(flags: Flags, *, homes: bool = False) -> tuple[str, ...]:
 
     `flags`: of a sample or a state. `homes`: whether a run homes it anyway, so that a stage that is not homed is well.
     """
-    told = {
+    hints = {
         Flags.FORCE_LIMIT: "the force limit has stopped it: relieve the beam",
         Flags.SATURATED: "the load cell is at the end of its range",
         Flags.NOT_READY: "the amplifier of the load cell (HX711) gives nothing",
         Flags.WATCHDOG: "its watchdog has stopped it: labrun resume arms it again",
     }
-    found = [words for flag, words in told.items() if flag in flags]
+    active_hints = [words for flag, words in hints.items() if flag in flags]
     if Flags.HOMED not in flags and not homes:
-        found.insert(
+        active_hints.insert(
             0, "it is not homed: set home_on_open = true, or move it to its lower end switch by HOME"
         )
-    return tuple(found)
+    return tuple(active_hints)

@@ -187,11 +187,11 @@ class Operator:
     def _ask(self, angle_rad: float) -> None:
         angle = f"{np.degrees(angle_rad):.4g}"
         # Filled in by hand: a text from a file is no format for values of the program.
-        told = self._settings.instruction
+        instruction = self._settings.instruction
         for name, value in {**self._condition, "joint": self.name, "angle_deg": angle}.items():
-            told = told.replace(f"{{{name}}}", value)
+            instruction = instruction.replace(f"{{{name}}}", value)
         condition = ", ".join(f"{name} = {value}" for name, value in self._condition.items())
-        lines = [told, *([f"Trial: {condition}"] if condition else [])]
+        lines = [instruction, *([f"Trial: {condition}"] if condition else [])]
         lines.append(f"Press Enter when {self.name} is at {angle} deg.")
         try:
             self._terminal.ask("\n".join(lines))

@@ -28,10 +28,10 @@ _FAR_S = 0.005
 
 def remarks(device: str, settings: OptiTrackSettings, session: Session, frame: Frame | None) -> list[Remark]:
     """Return remarks on rate, axes, layout, network, latency and the bodies in view."""
-    found = [_rate(device, settings, session), _axis(device, settings), _layout(device, session)]
-    found += _latency(device, session, frame)
-    found += _bodies(device, settings, session, frame)
-    return found
+    checks = [_rate(device, settings, session), _axis(device, settings), _layout(device, session)]
+    checks += _latency(device, session, frame)
+    checks += _bodies(device, settings, session, frame)
+    return checks
 
 
 def _rate(device: str, settings: OptiTrackSettings, session: Session) -> Remark:
@@ -70,34 +70,34 @@ def _layout(device: str, session: Session) -> Remark:
 
 
 def _latency(device: str, session: Session, frame: Frame | None) -> list[Remark]:
-    found = []
+    checks = []
     latency_s = None if frame is None else session.latency_s(frame)
     if latency_s is not None:
         text = f"{1e3 * latency_s:.1f} ms from exposure to transmission"
         advice = "close views and programs on Motive's computer"
-        found.append(Remark.judged(latency_s <= _SLOW_S, device, text, advice))
+        checks.append(Remark.judged(latency_s <= _SLOW_S, device, text, advice))
     offset = session.echoes.best()
     if offset is not None:
         text = f"clock offset {offset.offset_s:.4f} s, known to {1e3 * offset.round_trip_s / 2:.2f} ms"
         near = offset.round_trip_s <= _FAR_S
-        found.append(Remark.judged(near, device, text, "connect by cable, not by wireless"))
-    return found
+        checks.append(Remark.judged(near, device, text, "connect by cable, not by wireless"))
+    return checks
 
 
 def _bodies(device: str, settings: OptiTrackSettings, session: Session, frame: Frame | None) -> list[Remark]:
     numbers = {body.name: body.id for body in session.bodies}
     measured = {} if frame is None else {body.id: body for body in frame.bodies if body.measured}
-    found = []
+    bodies = []
     for name in settings.bodies:
         body = measured.get(numbers.get(name, -1))
         if body is None:
             advice = "see that cameras see its markers, and that it is switched on in Motive's assets pane"
-            found.append(Remark("problem", device, f"body {name} is not tracked now", advice))
+            bodies.append(Remark("problem", device, f"body {name} is not tracked now", advice))
         else:
-            found.append(
+            bodies.append(
                 Remark("ok", device, f"body {name} is tracked, markers fit to {1e3 * body.error_m:.2f} mm")
             )
-    return found
+    return bodies
 
 
 _RATE_SLACK = 0.01
@@ -241,23 +241,23 @@ class OptiTrack:
         self._reader.bind(self._ids(session))
 
     def _ids(self, session: Session) -> dict[str, int]:
-        told = {body.name: body.id for body in session.bodies}
-        missing = [name for name in self.bodies if name not in told]
+        ids = {body.name: body.id for body in session.bodies}
+        missing = [name for name in self.bodies if name not in ids]
         if missing:
             raise DeviceError(
                 self.name,
                 f"Motive streams no rigid body {', '.join(missing)}",
-                hint=f"it streams {', '.join(sorted(told)) or 'none'}; bodies are named as in Motive's assets pane, "
+                hint=f"it streams {', '.join(sorted(ids)) or 'none'}; bodies are named as in Motive's assets pane, "
                 "where each must be switched on",
             )
-        return {name: told[name] for name in self.bodies}
+        return {name: ids[name] for name in self.bodies}
 
     def _check_rate(self, session: Session) -> None:
-        told = session.rate_hz
-        if told is not None and abs(told - self.rate_hz) > _RATE_SLACK * self.rate_hz:
+        stated_hz = session.rate_hz
+        if stated_hz is not None and abs(stated_hz - self.rate_hz) > _RATE_SLACK * self.rate_hz:
             raise DeviceError(
                 self.name,
-                f"Motive runs at {told:g} frames/s, and the file says rate_hz = {self.rate_hz:g}",
+                f"Motive runs at {stated_hz:g} frames/s, and the file says rate_hz = {self.rate_hz:g}",
                 hint="change the camera rate in Motive's devices pane, or rate_hz in the file",
             )
 

@@ -94,9 +94,9 @@ class OptiTrackEmulator:
         self._send_frames(now_s)
         self._endpoint.flush(self._context.clock.now())
         for datagram, address in self._endpoint.receive():
-            told = wire.understand(datagram)
-            if told is not None:
-                self._answer(*told, address, now_s)
+            answer = wire.understand(datagram)
+            if answer is not None:
+                self._answer(*answer, address, now_s)
         self._forget(now_s)
         self._strike()
         make_s = self._make_frames(now_s)

@@ -77,9 +77,9 @@ class EmulatedCapture:
             hidden = lost or self._faults.value("hidden-marker") in (True, name)
             markers += [
                 LabelledMarker(
-                    self._id(index) << 16 | turn + 1, place.tolist(), params=0x0A | hidden * _OCCLUDED
+                    self._id(index) << 16 | turn + 1, slot.tolist(), params=0x0A | hidden * _OCCLUDED
                 )
-                for turn, place in enumerate(own)
+                for turn, slot in enumerate(own)
             ]
         return Content(
             number,

@@ -132,7 +132,7 @@ def frame(content: Content, version: Version) -> bytes:
     """Return a frame in the layout of a version from 3.0 on."""
     sections = [
         [_text(name) + _vectors(places) for name, places in content.marker_sets],
-        [_floats(place) for place in content.others],
+        [_floats(marker) for marker in content.others],
         [_body(body) for body in content.bodies],
         [struct.pack("<i", id_) + _bodies(bodies) for id_, bodies in content.skeletons],
     ]

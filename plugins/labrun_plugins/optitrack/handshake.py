@@ -68,14 +68,14 @@ class Handshake:
             )
 
     def _choose_transmission(self, info: ServerInfo) -> None:
-        wanted, told = self._settings.transmission, info.multicast
-        if wanted != "auto" and told is not None and told != (wanted == "multicast"):
+        wanted, stated = self._settings.transmission, info.multicast
+        if wanted != "auto" and stated is not None and stated != (wanted == "multicast"):
             raise DeviceError(
                 self._device,
-                f'streams {"multicast" if told else "unicast"}, and the file says transmission = "{wanted}"',
+                f'streams {"multicast" if stated else "unicast"}, and the file says transmission = "{wanted}"',
                 hint="change Transmission Type in Motive's streaming pane, or transmission in the file",
             )
-        self._session.multicast = told is not False if wanted == "auto" else wanted == "multicast"
+        self._session.multicast = stated is not False if wanted == "auto" else wanted == "multicast"
         if self._session.multicast:
             group = self._settings.group or info.group or _GROUP
             self._session.link.join(group, self._settings.data_port or info.data_port or _DATA_PORT)
@@ -89,8 +89,10 @@ class Handshake:
         if stated is None:
             self._session.layout = min(self._session.layout, NEWEST)
         self._session.response = None
-        told = self._ask(request(f"Bitstream,{dotted(self._session.layout)}"), lambda: self._session.response)
-        if told is None:  # older 4.0 servers take it with the connection alone
+        answer = self._ask(
+            request(f"Bitstream,{dotted(self._session.layout)}"), lambda: self._session.response
+        )
+        if answer is None:  # older 4.0 servers take it with the connection alone
             self._session.link.send(connect_with_version(self._session.layout))
 
     def _asked_rate(self) -> float | None:
@@ -109,9 +111,9 @@ class Handshake:
             deadline_s = self._clock.now() + _PATIENCE_S
             while self._clock.now() < deadline_s and not self._session.refused:
                 self._session.pump()
-                told = answer()
-                if told is not None:
-                    return told
+                reply = answer()
+                if reply is not None:
+                    return reply
             if self._session.refused:
                 break
         return None

@@ -214,10 +214,10 @@ class Link:
             return []
         ready, _, _ = select.select(sockets, [], [], _PATIENCE_S)
         heard: list[Heard] = []
-        for one in ready:
+        for endpoint in ready:
             for _ in range(_AT_ONCE):
                 try:
-                    datagram, (sender, _port) = one.recvfrom(_MOST)
+                    datagram, (sender, _port) = endpoint.recvfrom(_MOST)
                 except BlockingIOError:
                     break
                 # nobody listens at the server's port; who needs an answer will notice
@@ -238,9 +238,9 @@ class Link:
     def close(self) -> None:
         """Close all sockets; harmless when closed."""
         sockets, self._sockets = self._sockets, []
-        for one in sockets:
+        for open_socket in sockets:
             with contextlib.suppress(OSError):
-                one.close()
+                open_socket.close()
 
 
 _KEPT = 60

@@ -198,10 +198,10 @@ class PoseReader:
 
     def sample(self, frame: Frame) -> FloatArray | Unseen:
         """Return the values of a frame, shape (channels,), or what was not measured in it."""
-        found = {body.id: body for body in frame.bodies}
+        bodies = {body.id: body for body in frame.bodies}
         poses = np.empty((len(self._bodies), 7))
         for row, name in enumerate(self._bodies):
-            body = found.get(self._ids[name])
+            body = bodies.get(self._ids[name])
             if body is None:
                 return Unseen(name, "is not in the frames")
             if not body.measured:

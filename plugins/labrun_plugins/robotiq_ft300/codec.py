@@ -124,7 +124,7 @@ class StreamParser:
         """Take what has arrived; return the frames it completes. Keeps less than a frame for the next time."""
         self._kept += data
         kept = self._kept
-        found: list[Frame] = []
+        frames: list[Frame] = []
         at = 0
         while len(kept) - at >= FRAME_BYTES:
             header = kept.find(HEADER, at)
@@ -142,7 +142,7 @@ class StreamParser:
                 continue
             at += FRAME_BYTES
             counts = tuple(int.from_bytes(body[i : i + 2], "little", signed=True) for i in range(2, 14, 2))
-            found.append(Frame(counts, len(kept) - at))
+            frames.append(Frame(counts, len(kept) - at))
         del kept[:at]
-        self.frames += len(found)
-        return found
+        self.frames += len(frames)
+        return frames

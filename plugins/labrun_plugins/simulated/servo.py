@@ -100,9 +100,9 @@ def _follow(
     for i in range(count):
         angles[i] = angle
         if i % hold == 0:
-            told = np.round(command[i // hold] / step_rad) * step_rad
-            if abs(told - goal) > dead_band_rad:
-                goal = told
+            stepped = np.round(command[i // hold] / step_rad) * step_rad
+            if abs(stepped - goal) > dead_band_rad:
+                goal = stepped
         error = goal - angle
         next_error = transition[0, 0] * error + transition[0, 1] * speed
         speed = transition[1, 0] * error + transition[1, 1] * speed

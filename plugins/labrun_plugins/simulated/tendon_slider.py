@@ -90,5 +90,5 @@ class SimulatedTendonSlider(SimulatedDevice):
         self._pull(here, now_s)
 
     def _switches(self) -> Sequence[bool]:
-        place = float(self.scene.observe((SLIDER,), np.array([self._clock.now()]))[0, 0])
-        return (place <= _END, place >= 1.0 - _END)
+        position_m = float(self.scene.observe((SLIDER,), np.array([self._clock.now()]))[0, 0])
+        return (position_m <= _END, position_m >= 1.0 - _END)

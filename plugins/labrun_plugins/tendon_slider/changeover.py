@@ -114,7 +114,7 @@ class Changeover:
         return (not tight, tight)
 
     def _says(self, closed: tuple[bool, ...]) -> str:
-        states = [name for name, one in zip(self._settings.states, closed, strict=True) if one]
+        states = [name for name, is_closed in zip(self._settings.states, closed, strict=True) if is_closed]
         if len(states) == 2:
             return "both of its switches are closed"
         return f"its switches say {states[0]!r}" if states else "none of its switches is closed"

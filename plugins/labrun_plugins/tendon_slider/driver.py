@@ -96,24 +96,24 @@ class TendonSlider(BoardDevice):
     def examine(self) -> list[Remark]:
         """Look at firmware, channels, rate, watchdog and switches, for `labrun doctor --hardware`."""
         closed = self._switches()
-        said = ", ".join(
-            f"{name} {'closed' if one else 'open'}"
-            for name, one in zip(self._settings.states, closed, strict=True)
+        text = ", ".join(
+            f"{name} {'closed' if switch else 'open'}"
+            for name, switch in zip(self._settings.states, closed, strict=True)
         )
         advice = "exactly one is closed at rest: look at wiring and springs"
-        switches = Remark.judged(sum(closed) == 1, self.name, f"switches: {said}", advice, "problem")
+        switches = Remark.judged(sum(closed) == 1, self.name, f"switches: {text}", advice, "problem")
         return [*super().examine(), switches]
 
     def _switches(self) -> Sequence[bool]:
         """Return which switches are closed."""
-        said = self._board.session.request("SW")
-        if len(said) != SWITCHES or not set(said) <= {"0", "1"}:
+        reply = self._board.session.request("SW")
+        if len(reply) != SWITCHES or not set(reply) <= {"0", "1"}:
             raise DeviceError(
                 self.name,
-                f"its switches answer {','.join(said) or 'nothing'!r}; two of 0 or 1 were expected",
+                f"its switches answer {','.join(reply) or 'nothing'!r}; two of 0 or 1 were expected",
                 hint="flash labservo.ino with SWITCH_PINS: see the README of tendon-slider",
             )
-        return [one == "1" for one in said]
+        return [bit == "1" for bit in reply]
 
     def _pulses(self, pulled: FloatArray) -> Mapping[int, int]:
         """Return the pulse width of one set-point: never beyond either end."""

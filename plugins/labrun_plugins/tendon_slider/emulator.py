@@ -48,14 +48,14 @@ class TendonSliderEmulator(ServoBoardEmulator):
 
     def _closed(self) -> Sequence[bool]:
         self._look()
-        place = min(self._place(), self._reached)
-        return (place <= _END, place >= 1.0 - _END)
+        position_m = min(self._place(), self._reached)
+        return (position_m <= _END, position_m >= 1.0 - _END)
 
     def _slide(self, now_s: float) -> None:
-        place, scene = self._place(), self.context.scene
-        self.note("slider", place=place)
+        position_m, scene = self._place(), self.context.scene
+        self.note("slider", place=position_m)
         if scene is not None and SLIDER in scene.joints:
-            motion = Trajectory((SLIDER,), np.zeros(1), np.array([[place]]))
+            motion = Trajectory((SLIDER,), np.zeros(1), np.array([[position_m]]))
             self.bench.do(lambda: scene.drive(SLIDER, motion, now_s))
 
     def _look(self) -> None:

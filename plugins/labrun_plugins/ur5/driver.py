@@ -48,16 +48,16 @@ def remarks(
     travel_m: tuple[float, float],
 ) -> list[Remark]:
     """Return one remark for each thing looked at."""
-    found = [_mode(state), _rate(tracking, rtde), _losses(tracking), _remote(remote), _slider(state)]
+    checks = [_mode(state), _rate(tracking, rtde), _losses(tracking), _remote(remote), _slider(state)]
     if rtde.protocol == 1:
-        found.append(Remark("warning", "RTDE", "speaks version 1 only", "update PolyScope"))
+        checks.append(Remark("warning", "RTDE", "speaks version 1 only", "update PolyScope"))
     if rtde.missing:
-        found.append(
+        checks.append(
             Remark("warning", "RTDE", f"the controller has no {', '.join(rtde.missing)}", "update PolyScope")
         )
-    found.append(_payload(state))
-    found += _line(settings, tracking.line, travel_m)
-    return found
+    checks.append(_payload(state))
+    checks += _line(settings, tracking.line, travel_m)
+    return checks
 
 
 def _mode(state: ArmState) -> Remark:
@@ -118,12 +118,13 @@ def _payload(state: ArmState) -> Remark:
 def _line(settings: Ur5Settings, line: Line | None, travel_m: tuple[float, float]) -> list[Remark]:
     if line is None:
         return [Remark("warning", "line", "not known while the arm is not running")]
-    found = []
+    lines = []
     origin, turn = (
-        ", ".join(f"{round(one, 4) + 0.0:.4f}" for one in v) for v in (line.origin_m, line.orientation_rad)
+        ", ".join(f"{round(value, 4) + 0.0:.4f}" for value in v)
+        for v in (line.origin_m, line.orientation_rad)
     )
     if settings.origin_m is None or settings.orientation_rad is None:
-        found.append(
+        lines.append(
             Remark(
                 "warning",
                 "line",
@@ -133,11 +134,11 @@ def _line(settings: Ur5Settings, line: Line | None, travel_m: tuple[float, float
             )
         )
     else:
-        found.append(Remark("ok", "line", f"from [{origin}] m"))
+        lines.append(Remark("ok", "line", f"from [{origin}] m"))
     for end_m in travel_m:
         reach_m = float(np.linalg.norm(line.pose(end_m)[:3]))
         if reach_m > _REACH_M:
-            found.append(
+            lines.append(
                 Remark(
                     "warning",
                     "line",
@@ -145,7 +146,7 @@ def _line(settings: Ur5Settings, line: Line | None, travel_m: tuple[float, float
                     "shorten limits.travel_m, or move origin_m",
                 )
             )
-    return found
+    return lines
 
 
 _LOOK_S = 1.0
@@ -195,7 +196,7 @@ class Ur5:
                 ("direction", line.direction),
                 ("orientation_rad", line.orientation_rad),
             ):
-                details[key] = ", ".join(f"{one:.6f}" for one in vector)
+                details[key] = ", ".join(f"{value:.6f}" for value in vector)
         return Identity(
             model=f"Universal Robots {self._link.dashboard.ask('get robot model')}",
             serial=self._link.dashboard.ask("get serial number"),
@@ -348,7 +349,7 @@ class Ur5:
         if line is None:
             settings = self._settings
             line = Line.through(state.pose, settings.direction, settings.origin_m, settings.orientation_rad)
-            if state.robot_mode == RUNNING and all(math.isfinite(one) for one in state.pose):
+            if state.robot_mode == RUNNING and all(math.isfinite(value) for value in state.pose):
                 self._link.tracking.line = line
         return line
 

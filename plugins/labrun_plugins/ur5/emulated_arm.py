@@ -163,9 +163,9 @@ class ScriptReader:
         self._rest += data
         while b"\n" in self._rest:
             line, self._rest = self._rest.split(b"\n", 1)
-            found = self._take(line[:_LONGEST_LINE].decode("utf-8", errors="replace").strip())
-            if found is not None:
-                heard.append(found)
+            answer = self._take(line[:_LONGEST_LINE].decode("utf-8", errors="replace").strip())
+            if answer is not None:
+                heard.append(answer)
         if len(self._rest) > _LONGEST_LINE:
             self._rest, self._lines = b"", None
             heard.append(ScriptError(1, _LONGEST_LINE, "line too long"))
@@ -216,7 +216,7 @@ def parsed(lines: list[str]) -> Heard:
 def _statement(line: str) -> Statement | None:
     statement: Statement
     if match := _MOVEL.fullmatch(line):
-        pose = tuple(float(one) for one in match[1].split(","))
+        pose = tuple(float(part) for part in match[1].split(","))
         statement = MoveL(pose, float(match[2]), float(match[3]))
         numbers = (*pose, statement.acceleration_m_s2, statement.speed_m_s)
         positive = numbers[6:]
@@ -228,7 +228,7 @@ def _statement(line: str) -> Statement | None:
         numbers = positive = (statement.rate_hz,)
     else:
         return None
-    sound = all(math.isfinite(one) for one in numbers) and all(one > 0 for one in positive)
+    sound = all(math.isfinite(number) for number in numbers) and all(number > 0 for number in positive)
     return statement if sound else None
 
 
@@ -436,7 +436,7 @@ class EmulatedArm:
             return
         here_m = self.position_m()
         there_m = float((goal[:3] - self._origin[:3]) @ self._along)
-        ramps = tuple(one for one in ramps if one != ACCELERATION_M_S2)  # what scenes have by themselves
+        ramps = tuple(ramp for ramp in ramps if ramp != ACCELERATION_M_S2)  # what scenes have by themselves
         self._scene.tow(here_m, there_m, speed_m_s, now_s, *ramps)
 
     def _look_at_faults(self, now_s: float) -> None:

@@ -39,9 +39,9 @@ def reply(
     command: str, arm: EmulatedArm, faults: Faults, log: EmulatorLog, version: str, now_s: float
 ) -> str:
     """Return the answer to one line, and do what it asks for."""
-    told = _told(command, arm, faults, version)
-    if told is not None:
-        return told
+    text = _told(command, arm, faults, version)
+    if text is not None:
+        return text
     if command in _ACTIONS and faults.active("local-mode"):
         log.note("ignored", what=f"dashboard {command}", why="local control")
         return f"Failed to execute: {command}"
@@ -339,9 +339,9 @@ class Ur5Emulator:
         self._ends = {
             service: TcpEndpoint(self._context, host, port if fixed else 0) for service, port in ports.items()
         }
-        found = {f"{service}_port": end.open() for service, end in self._ends.items()}
+        ports = {f"{service}_port": end.open() for service, end in self._ends.items()}
         self._next_s = self._state_s = now_s
-        return {"host": host, **found}
+        return {"host": host, **ports}
 
     def files(self) -> Sequence[int]:
         """Return what to wait on."""
@@ -415,8 +415,8 @@ class Ur5Emulator:
                 del self._sessions[client]
                 end.drop(client)
                 continue
-            for one in replies:
-                end.send(client, one)
+            for text in replies:
+                end.send(client, text)
 
     def _hear_dashboard(self, now_s: float) -> None:
         end = self._ends["dashboard"]
@@ -466,7 +466,7 @@ class Ur5Emulator:
         elif isinstance(heard, ScriptError):
             self._complain(heard.line, heard.column, heard.text)
         else:
-            if any(isinstance(one, StopL) for one in heard.statements):
+            if any(isinstance(statement, StopL) for statement in heard.statements):
                 self._log.note("stop", how="stopl", position_m=position_m)
             wrong = self._arm.execute(heard, now_s)
             if wrong:

@@ -68,11 +68,11 @@ class Tracking:
 
         Raises DeviceError: the connection is lost, sends nonsense, or the controller was restarted.
         """
-        found, host_s = self._rtde.receive()
+        sample, host_s = self._rtde.receive()
         times: list[float] = []
         rows: list[FloatArray] = []
         lost = 0
-        for values in found:
+        for values in sample:
             state = ArmState.of(values, host_s)
             missing = self._missing(state)
             if missing is None:
@@ -242,9 +242,9 @@ class Link:
         if not self._is_open:
             return
         with contextlib.suppress(Exception):  # a stop never raises; each way has been tried by then
-            said = self._programs.stop_now()
+            stopped = self._programs.stop_now()
             self.dashboard.stop_now()
-            if not said:
+            if not stopped:
                 self._programs.stop_anew()
 
     def _new_tracking(self, line: Line | None) -> Tracking:
@@ -265,7 +265,7 @@ def stop_from_scratch(device: str, settings: Ur5Settings, clock: Clock, patience
     """Connect and stop the tool, without anything that is open already; tell whether it was told."""
     programs = Programs(device, settings)
     dashboard = Dashboard(device, settings, clock)
-    said = programs.stop_anew(patience_s)
+    stopped = programs.stop_anew(patience_s)
     try:
         dashboard.open(patience_s)
         heard = dashboard.stop_now() and dashboard.hear_stop()
@@ -274,4 +274,4 @@ def stop_from_scratch(device: str, settings: Ur5Settings, clock: Clock, patience
     finally:
         programs.close()
         dashboard.close()
-    return said or heard
+    return stopped or heard

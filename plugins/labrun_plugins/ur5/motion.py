@@ -62,7 +62,7 @@ class Line:
     def pose(self, position_m: float) -> Pose:
         """Return the tool pose at a position."""
         point = self.origin_m + position_m * self.direction
-        x, y, z, rx, ry, rz = (float(one) for one in (*point, *self.orientation_rad))
+        x, y, z, rx, ry, rz = (float(value) for value in (*point, *self.orientation_rad))
         return x, y, z, rx, ry, rz
 
     def beside_m(self, pose: FloatArray) -> float:
@@ -114,7 +114,7 @@ def move_program(
     """
     if not register.isidentifier():
         raise ValueError(f"{register!r} is no input register")
-    pose = ", ".join(_number(one) for one in target)
+    pose = ", ".join(_number(value) for value in target)
     return (
         "def labrun_move():\n"
         f'  rtde_set_watchdog("{register}", {_number(1.0 / watchdog_s)}, "stop")\n'

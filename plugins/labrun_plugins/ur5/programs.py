@@ -144,7 +144,7 @@ class PrimaryStream:
         """Return the complaints that are complete now, each as one line."""
         if self.broken:
             return []
-        found: list[str] = []
+        lines: list[str] = []
         rest = self._rest
         rest += data
         begin = 0
@@ -153,16 +153,16 @@ class PrimaryStream:
             if not _HEADER.size <= size <= _MOST:
                 self.broken = True
                 rest.clear()
-                return found
+                return lines
             if len(rest) - begin < size:
                 break
             if kind == _MESSAGE:
                 complaint = complaint_of(bytes(rest[begin + _HEADER.size : begin + size]))
                 if complaint:
-                    found.append(complaint)
+                    lines.append(complaint)
             begin += size
         del rest[:begin]
-        return found
+        return lines
 
 
 def complaint_of(payload: bytes) -> str:

@@ -134,7 +134,7 @@ def text_of(payload: bytes) -> Text | None:
 def readable(text: bytes) -> str:
     """Return a device's text as one printable line of at most 200 characters."""
     line = text.decode("utf-8", errors="replace")
-    return "".join(one if one.isprintable() else " " for one in line).strip()[:200]
+    return "".join(character if character.isprintable() else " " for character in line).strip()[:200]
 
 
 def _joined(names: tuple[str, ...]) -> bytes:
@@ -179,20 +179,20 @@ class Recipe:
     def __init__(self, number: int | None, names: Sequence[str], types: Sequence[str]) -> None:
         if len(names) != len(types):
             raise ValueError(f"{len(types)} types for {len(names)} names")
-        unknown = [one for one in types if one not in _FORMATS]
+        unknown = [kind for kind in types if kind not in _FORMATS]
         if unknown:
             raise ValueError(f"unknown type {unknown[0][:40]!r}")
         self.number = number
         self.names = tuple(names)
         self.types = tuple(types)
-        formats = [_FORMATS[one] for one in types]
+        formats = [_FORMATS[kind] for kind in types]
         self._struct = struct.Struct(">" + ("" if number is None else "B") + "".join(formats))
         self._places: dict[str, tuple[int, int]] = {}
-        place = 0 if number is None else 1
+        first = 0 if number is None else 1
         for name, form in zip(names, formats, strict=True):
             width = int(form[:-1] or 1)
-            self._places[name] = (place, width)
-            place += width
+            self._places[name] = (first, width)
+            first += width
 
     @property
     def size(self) -> int:
@@ -207,8 +207,8 @@ class Recipe:
         if self.number is not None and flat[0] != self.number:
             return None
         return {
-            name: flat[place] if width == 1 else flat[place : place + width]
-            for name, (place, width) in self._places.items()
+            name: flat[index] if width == 1 else flat[index : index + width]
+            for name, (index, width) in self._places.items()
         }
 
     def encode(self, values: Mapping[str, Any]) -> bytes:
@@ -289,7 +289,7 @@ class RtdeClient:
         """
         data = self._connection.read() if not self._waiting else b""
         host_s = self._clock.now()
-        found: list[Mapping[str, Any]] = []
+        samples: list[Mapping[str, Any]] = []
         for package in [*self._take_waiting(), *self._cut(data)]:
             if package.kind == DATA:
                 values = self._outputs.decode(package.payload)
@@ -298,10 +298,10 @@ class RtdeClient:
                         f"a data package of {len(package.payload)} bytes where recipe {self._outputs.number} has "
                         f"{self._outputs.size}"
                     )
-                found.append(values)
+                samples.append(values)
             elif package.kind == TEXT:
                 self._note(package.payload)
-        return found, host_s
+        return samples, host_s
 
     def beat(self) -> None:
         """Refresh the watchdog's register; DeviceError if the connection is lost."""

@@ -91,15 +91,15 @@ def _knee(angle: FloatArray, torque: FloatArray) -> BucklingLimit:
         matrix = np.column_stack(
             [np.ones_like(angle), np.minimum(angle, knee), np.maximum(angle - knee, 0.0)]
         )
-        found = np.linalg.lstsq(matrix, torque, rcond=None)[0]
-        return float(np.sum(np.square(torque - matrix @ found))), found
+        coefficients = np.linalg.lstsq(matrix, torque, rcond=None)[0]
+        return float(np.sum(np.square(torque - matrix @ coefficients))), coefficients
 
     from scipy.optimize import minimize_scalar
 
     places = angle[2:-2]
-    best = int(np.argmin([left_over(float(one))[0] for one in places]))
+    best = int(np.argmin([left_over(float(position))[0] for position in places]))
     low, high = float(places[max(best - 1, 0)]), float(places[min(best + 1, len(places) - 1)])
-    knee = float(minimize_scalar(lambda one: left_over(float(one))[0], bounds=(low, high)).x)
+    knee = float(minimize_scalar(lambda bound: left_over(float(bound))[0], bounds=(low, high)).x)
     _, stiffness, soft = left_over(knee)[1]
     reached = bool(soft < 0.5 * stiffness and knee < 0.95 * angle[-1])
     return BucklingLimit("equal", float(stiffness * knee) if reached else float(torque.max()), reached)
@@ -108,9 +108,9 @@ def _knee(angle: FloatArray, torque: FloatArray) -> BucklingLimit:
 def _snap(angle: FloatArray, torque: FloatArray, turn: int) -> BucklingLimit:
     there = torque[: turn + 1]
     top = int(np.argmax(there))
-    peak, place = float(there[top]), float(angle[top])
+    peak, peak_angle = float(there[top]), float(angle[top])
     reached = bool(np.min(there[top:]) < (1.0 - _SNAP) * peak)
-    at = np.linspace(_BEFORE[0] * place, _BEFORE[1] * place, _BINS)
+    at = np.linspace(_BEFORE[0] * peak_angle, _BEFORE[1] * peak_angle, _BINS)
     half = 0.5 * (_at(angle[: turn + 1], there, at) - _at(angle[turn:], torque[turn:], at))
     return BucklingLimit("opposite", peak - max(float(np.median(half)), 0.0), reached)
 

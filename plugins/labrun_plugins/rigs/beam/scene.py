@@ -159,8 +159,8 @@ class BeamBench(Bench):
         self._stepper = Stepper(self._model, effects=[self._loop, *self._hidden], step_s=self.step_s)
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
-        told = self._drives["pusher"].angles(time_s)
-        moved = self._pusher(told)
+        angles = self._drives["pusher"].angles(time_s)
+        moved = self._pusher(angles)
         inputs = np.concatenate([self._inputs_before, self._driven(moved)])
         force = self._stepper.advance(inputs)[:, 0]
         self._inputs_before = inputs[-1:].copy()

@@ -99,16 +99,18 @@ class TapeSpring:
     def opposite_curvature_per_m(self) -> float:
         """Longitudinal curvature at that maximum, 1/m; nan where there is none."""
         curvature = np.geomspace(1e-4, _MOST_TURNS, 4000) / self.radius_m
-        torque = np.array([self.torque_n_m(float(one)) for one in curvature])
+        torque = np.array([self.torque_n_m(float(value)) for value in curvature])
         falls = np.flatnonzero(np.diff(torque) < 0)
         if not len(falls):
             return math.nan
         from scipy.optimize import minimize_scalar
 
-        place = int(falls[0])
-        low, high = float(curvature[max(place - 1, 0)]), float(curvature[place + 1])
-        found = minimize_scalar(lambda one: -self.torque_n_m(one), bounds=(low, high), method="bounded")
-        return float(found.x)
+        top = int(falls[0])
+        low, high = float(curvature[max(top - 1, 0)]), float(curvature[top + 1])
+        solution = minimize_scalar(
+            lambda angle: -self.torque_n_m(angle), bounds=(low, high), method="bounded"
+        )
+        return float(solution.x)
 
     def torque_n_m(self, curvature_per_m: float) -> float:
         """Return the torque at a longitudinal curvature (1/m, positive in opposite sense), N m, (7.1)."""
@@ -187,18 +189,18 @@ class TapeSpringFit(WithSettings[TapeSpringSettings]):
         """Fit. Raises FitError: no trial of the beam buckled in equal sense."""
         keys = self._settings
         data = load_dataset(job.target, _MEASURED, job.signals)
-        found = [
+        limits = [
             buckling_limit(trial.outputs[:, 0], trial.outputs[:, 1], 1e-3 * keys.lever_mm)
             for trial in data.trials
         ]
-        measured = _grouped(data, found)
+        measured = _grouped(data, limits)
         equal, opposite = (
-            next((one for one in measured if (one.beam, one.sense) == (keys.beam, sense)), None)
+            next((group for group in measured if (group.beam, group.sense) == (keys.beam, sense)), None)
             for sense in _SENSES
         )
         limit = None if equal is None else equal.estimate
         if limit is None:
-            beams = ", ".join(sorted({one.beam for one in measured}))
+            beams = ", ".join(sorted({group.beam for group in measured}))
             raise FitError(
                 f"no trial of the beam {keys.beam!r} buckled in equal sense, which the sheet's thickness follows from",
                 hint=f"measured were {beams}: name one with --set beam=NAME, or bend it further",
@@ -222,7 +224,7 @@ class TapeSpringFit(WithSettings[TapeSpringSettings]):
             tables=(_table(measured),),
             findings=tuple(_findings(arc, chord, snapped)),
             warnings=tuple(_warnings(measured)),
-            figure_data=lambda: _figure(data, found, keys, arc, chord),
+            figure_data=lambda: _figure(data, limits, keys, arc, chord),
         )
 
     def _strip(self, limit_n_m: float, width: str) -> TapeSpring:
@@ -234,16 +236,16 @@ class TapeSpringFit(WithSettings[TapeSpringSettings]):
         return replace(unit, thickness_m=thickness, width="arc" if width == "arc" else "chord")
 
 
-def _grouped(data: Dataset, found: list[BucklingLimit]) -> list[_Measured]:
+def _grouped(data: Dataset, results: list[BucklingLimit]) -> list[_Measured]:
     groups: dict[tuple[str, str], list[BucklingLimit]] = {}
-    for trial, limit in zip(data.trials, found, strict=True):
+    for trial, limit in zip(data.trials, results, strict=True):
         groups.setdefault((str(trial.condition.get("beam", "long")), limit.sense), []).append(limit)
     return [
         _Measured(
             beam,
             sense,
-            np.array([one.torque_n_m for one in limits if one.reached]),
-            sum(not one.reached for one in limits),
+            np.array([limit.torque_n_m for limit in limits if limit.reached]),
+            sum(not limit.reached for limit in limits),
         )
         for (beam, sense), limits in sorted(groups.items())
     ]
@@ -251,10 +253,10 @@ def _grouped(data: Dataset, found: list[BucklingLimit]) -> list[_Measured]:
 
 def _table(measured: list[_Measured]) -> TextTable:
     rows = []
-    for one in measured:
-        estimate = one.estimate
-        told = ("none", "") if estimate is None else (f"{estimate.value:.4g}", _half(estimate))
-        rows.append((one.beam, one.sense, str(len(one.values)), *told))
+    for group in measured:
+        estimate = group.estimate
+        estimate_cells = ("none", "") if estimate is None else (f"{estimate.value:.4g}", _half(estimate))
+        rows.append((group.beam, group.sense, str(len(group.values)), *estimate_cells))
     return TextTable("limits as measured, N m", ("beam", "sense", "trials", "mean", "95 %"), tuple(rows))
 
 
@@ -265,12 +267,12 @@ def _half(estimate: Estimate) -> str:
 
 
 def _findings(arc: TapeSpring, chord: TapeSpring, snapped: Estimate | None) -> list[str]:
-    told = [
+    notes = [
         f"{1e3 * arc.thickness_m:.3g} mm is the thickness of a single sheet of the stated modulus that buckles in "
         "equal sense where the beam does, (1 - nu) D theta; a laminate is thinner and of several materials"
     ]
     if snapped is None:
-        return [*told, "no trial snapped in opposite sense: which width holds is not known"]
+        return [*notes, "no trial snapped in opposite sense: which width holds is not known"]
     off = {
         name: strip.opposite_limit_n_m / snapped.value - 1.0
         for name, strip in (("arc", arc), ("chord", chord))
@@ -282,31 +284,31 @@ def _findings(arc: TapeSpring, chord: TapeSpring, snapped: Estimate | None) -> l
         for name, strip in (("arc", arc), ("chord", chord))
     ]
     return [
-        *told,
+        *notes,
         f"in opposite sense (7.1) then says {'; '.join(words)}; measured is {snapped.value:.3g} N m",
         f"{means[holds]}, holds as the width of (7.1)",
     ]
 
 
 def _warnings(measured: list[_Measured]) -> list[str]:
-    alone = [f"{one.beam} in {one.sense} sense" for one in measured if len(one.values) == 1]
-    told = [f"one trial only of {', '.join(alone)}: no interval is known"] if alone else []
-    return told + [
-        f"{one.survived} of {one.survived + len(one.values)} trials of the beam {one.beam} did not buckle in "
-        f"{one.sense} sense: its limit is above what they bore"
-        for one in measured
-        if one.survived
+    alone = [f"{group.beam} in {group.sense} sense" for group in measured if len(group.values) == 1]
+    notes = [f"one trial only of {', '.join(alone)}: no interval is known"] if alone else []
+    return notes + [
+        f"{group.survived} of {group.survived + len(group.values)} trials of the beam {group.beam} did not buckle in "
+        f"{group.sense} sense: its limit is above what they bore"
+        for group in measured
+        if group.survived
     ]
 
 
 def _figure(
-    data: Dataset, found: list[BucklingLimit], keys: TapeSpringSettings, arc: TapeSpring, chord: TapeSpring
+    data: Dataset, limits: list[BucklingLimit], keys: TapeSpringSettings, arc: TapeSpring, chord: TapeSpring
 ) -> FigureData:
     """Return torque over angle of a trial of each beam and sense, theory beside that which it is about."""
     lever_m = 1e-3 * keys.lever_mm
     stacks: dict[str, list[Curve]] = {}
     seen = set()
-    for trial, limit in zip(data.trials, found, strict=True):
+    for trial, limit in zip(data.trials, limits, strict=True):
         beam = str(trial.condition.get("beam", "long"))
         if (beam, limit.sense) in seen:
             continue
@@ -320,7 +322,7 @@ def _figure(
     for beam, curves in stacks.items():
         if beam != keys.beam:
             continue
-        ends = np.array([min(np.min(one.x) for one in curves), max(np.max(one.x) for one in curves)])
+        ends = np.array([min(np.min(curve.x) for curve in curves), max(np.max(curve.x) for curve in curves)])
         for number, (name, level) in enumerate(
             (
                 ("equal, (7.8)", -arc.equal_limit_n_m),

@@ -71,7 +71,7 @@ def hinge_torque(bend: float, p: Any) -> float:
 
 
 @kernel
-def fin(side: float, start: int, told: float, x: Any, p: Any, at_hinge: float, at_plate: float) -> Any:
+def fin(side: float, start: int, goal_rad: float, x: Any, p: Any, at_hinge: float, at_plate: float) -> Any:
     """Return what one fin does to the body, as numbers that are linear in the body's accelerations.
 
     Parameters
@@ -80,7 +80,7 @@ def fin(side: float, start: int, told: float, x: Any, p: Any, at_hinge: float, a
         +1 left, -1 right.
     start
         Where in `x` the fin's four states begin: angle and rate of the base, bend and its rate.
-    told
+    goal_rad
         Angle that the servo follows, rad.
     at_hinge, at_plate
         Further torque at the hinge (N m), further force along n (N).
@@ -106,7 +106,7 @@ def fin(side: float, start: int, told: float, x: Any, p: Any, at_hinge: float, a
     base, base_rate = x[start], x[start + 1]
     bend, bend_rate = x[start + 2], x[start + 3]
     natural = 2.0 * math.pi * p[11]
-    base_acceleration = natural * natural * (told - base) - 2.0 * p[12] * natural * base_rate
+    base_acceleration = natural * natural * (goal_rad - base) - 2.0 * p[12] * natural * base_rate
     yaw, yaw_rate = x[2], x[5]
     half = 0.5 * side * p[15]
     theta, phi = base - side * yaw, base + bend - side * yaw
@@ -210,18 +210,18 @@ def _solved(
         myy, mxy, myz, fy = 1.0, 0.0, 0.0, 0.0
     if not free_z:
         mzz, mxz, myz, fz = 1.0, 0.0, 0.0, 0.0
-    one = myy * mzz - myz * myz
+    determinant = myy * mzz - myz * myz
     two = mxz * myz - mxy * mzz
     three = mxy * myz - mxz * myy
-    whole = mxx * one + mxy * two + mxz * three
-    ax = (one * fx + two * fy + three * fz) / whole
+    whole = mxx * determinant + mxy * two + mxz * three
+    ax = (determinant * fx + two * fy + three * fz) / whole
     ay = (two * fx + (mxx * mzz - mxz * mxz) * fy + (mxy * mxz - mxx * myz) * fz) / whole
     az = (three * fx + (mxy * mxz - mxx * myz) * fy + (mxx * myy - mxy * mxy) * fz) / whole
     return ax, ay, az
 
 
 @kernel
-def base_torque(one: Any, body: Any) -> float:
+def base_torque(wing: Any, body: Any) -> float:
     """Return what the servo turns its fin with, N m, positive towards the front, given the body's accelerations."""
-    along = one[8] + one[3] * body[0] + one[4] * body[1] + one[5] * body[2]
-    return float((one[6] - one[7]) * one[11] + one[14] * along * one[12])
+    along = wing[8] + wing[3] * body[0] + wing[4] * body[1] + wing[5] * body[2]
+    return float((wing[6] - wing[7]) * wing[11] + wing[14] * along * wing[12])

@@ -34,14 +34,14 @@ def _fin_at(t: float, bend: float, bend_rate: float, natural_rad_s: float, p: An
     base = _STROKE_RAD * math.sin(natural_rad_s * t)
     rate = _STROKE_RAD * natural_rad_s * math.cos(natural_rad_s * t)
     servo = 2.0 * math.pi * p[11]
-    told = base + (2.0 * p[12] * servo * rate - natural_rad_s * natural_rad_s * base) / (servo * servo)
-    return fin(1.0, 6, told, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, base, rate, bend, bend_rate), p, 0.0, 0.0)
+    damped = base + (2.0 * p[12] * servo * rate - natural_rad_s * natural_rad_s * base) / (servo * servo)
+    return fin(1.0, 6, damped, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, base, rate, bend, bend_rate), p, 0.0, 0.0)
 
 
 @kernel
-def _bends(one: Any, p: Any) -> float:
+def _bends(wing: Any, p: Any) -> float:
     """Return how the rate of the bend changes, rad/s^2."""
-    return float((one[6] / one[14] - one[9]) / p[9])
+    return float((wing[6] / wing[14] - wing[9]) / p[9])
 
 
 @kernel
@@ -54,11 +54,11 @@ def extremes(frequency_hz: float, p: Any) -> Any:
     largest, smallest = -math.inf, math.inf
     for i in range(count):
         t = i * h
-        one = _fin_at(t, bend, bend_rate, turn, p)
+        fin_state = _fin_at(t, bend, bend_rate, turn, p)
         if t >= (_CYCLES - 1.0) / frequency_hz:
-            torque = -base_torque(one, (0.0, 0.0, 0.0))
+            torque = -base_torque(fin_state, (0.0, 0.0, 0.0))
             largest, smallest = max(largest, torque), min(smallest, torque)
-        a1 = _bends(one, p)
+        a1 = _bends(fin_state, p)
         v2 = bend_rate + 0.5 * h * a1
         a2 = _bends(_fin_at(t + 0.5 * h, bend + 0.5 * h * bend_rate, v2, turn, p), p)
         v3 = bend_rate + 0.5 * h * a2
@@ -95,6 +95,6 @@ def wing_extremes() -> Model:
         sites=(),
         initial={},
         **natives(derivative, output, site_values),
-        constants=np.array([one.value for one in PARAMETERS[:_OF_A_WING]]),
+        constants=np.array([parameter.value for parameter in PARAMETERS[:_OF_A_WING]]),
         source="cycles of a wing on a buckling hinge in water",
     )

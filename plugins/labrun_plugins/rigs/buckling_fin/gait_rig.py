@@ -100,10 +100,10 @@ class GaitRig(Bench):
             name: nominal[name] * factors[1 if name.endswith("limit") else 0] for name in _OF_THE_BEAM
         }
         self._model: Model = self._with_errors(model.with_values(scattered))
-        at_fins = [one for one in self._settings.hide if one.site not in self.joints]
+        at_fins = [hidden for hidden in self._settings.hide if hidden.site not in self.joints]
         self._at_fins = hidden_effects(at_fins, self._model, _SCALE)
         self._stepper = Stepper(self._model, effects=self._at_fins, step_s=self.step_s)
-        names = [one.name for one in self._model.outputs]
+        names = [output.name for output in self._model.outputs]
         self._outputs = [names.index(name) for name in _FELT]
 
     def _advance(self, time_s: FloatArray) -> FloatArray:

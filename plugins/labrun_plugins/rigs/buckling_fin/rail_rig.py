@@ -83,7 +83,8 @@ class RailRig(Bench):
     remembered = ("pull", "servo_before", "servo", "free", "held")
     signals: Mapping[str, str] = {
         **{f"force_{axis}": "N" for axis in "xyz"}, **{f"torque_{axis}": "N m" for axis in "xyz"},
-        **{f"{part}_{one}": "m" if one in "xyz" else "1" for part in ("swimmer", "link", "plate") for one in POSE},
+        **{f"{part}_{quantity}": "m" if quantity in "xyz" else "1" for part in ("swimmer", "link", "plate")
+            for quantity in POSE},
         "position": "m", "left": "rad", "right": "rad",
     }  # fmt: skip
 
@@ -91,7 +92,7 @@ class RailRig(Bench):
         super().__init__(settings, rng)
         keys = self._settings
         self._model: Model = self._with_errors(two_fin_swimmer().with_values({**_LINKS, **keys.design}))
-        on_swimmer = [one for one in keys.hide if one.site not in self.joints]
+        on_swimmer = [hidden for hidden in keys.hide if hidden.site not in self.joints]
         self._servo = self._passage(self.joints)
         rubs = keys.rail_at_rest_n > 0 and not keys.as_modelled
         self._rail = hidden_effects([_friction(keys)], self._model, _SCALE) if rubs else []
@@ -100,9 +101,9 @@ class RailRig(Bench):
         self._free = Stepper(self._model, effects=[*self._rail, *swimmer_effects], step_s=self.step_s)
         values = self._model.named_values
         held = two_fin_swimmer(held=True).with_values(values)
-        on_held = [one for one in swimmer_effects if one.site != "rail"]
+        on_held = [effect for effect in swimmer_effects if effect.site != "rail"]
         self._held = Stepper(held, effects=on_held, step_s=self.step_s)
-        self._outputs = [one.name for one in self._model.outputs]
+        self._outputs = [output.name for output in self._model.outputs]
         self._lengths_m = (values["link"], values["arm"])
         self._spacing_m = values["motor_spacing"]
         self._pull: tuple[float, float, float] | None = None  # to_m, speed_m_s, start_s
@@ -117,15 +118,15 @@ class RailRig(Bench):
         return self._truth((*self._rail, *self._hidden))
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
-        told = np.column_stack([self._drives[joint].angles(time_s) for joint in self.joints])
-        edges = np.concatenate([self._servo_before, self._servo(told)])
+        goals_rad = np.column_stack([self._drives[joint].angles(time_s) for joint in self.joints])
+        edges = np.concatenate([self._servo_before, self._servo(goals_rad)])
         self._servo_before = edges[-1:].copy()
         rows = np.empty((len(time_s), len(self._outputs)))
         first = 0
         while first < len(time_s):
             first = self._stretch(time_s, edges, first, rows)
         require_finite(self._free, "swimmer")
-        return self._signals(rows, told)
+        return self._signals(rows, goals_rad)
 
     def _stretch(self, time_s: FloatArray, edges: FloatArray, first: int, rows: FloatArray) -> int:
         """Simulate up to where the line gets taut or slack, or to the end; return where that is."""
@@ -151,9 +152,9 @@ class RailRig(Bench):
     def _freely(self, edges: FloatArray, first: int, end: int, rows: FloatArray) -> int:
         """Swim; a bumper stops the carriage for good, until it is pulled back."""
         low, high = self._settings.ends_m
-        found = self._free.advance(edges[first : end + 1])
-        rows[first:end] = found
-        x = found[:, self._outputs.index("x")]
+        states = self._free.advance(edges[first : end + 1])
+        rows[first:end] = states
+        x = states[:, self._outputs.index("x")]
         if not (beyond := (x < low) | (x > high)).any():
             return end
         state = self._free.state
@@ -170,14 +171,14 @@ class RailRig(Bench):
         still = state.copy()
         still[_X] = still[_SPEED] = 0.0
         self._held.state = still
-        found = self._held.advance(edges[first : end + 1])
+        states = self._held.advance(edges[first : end + 1])
         after = self._held.state
         after[_X], after[_SPEED] = x_m[-1], 0.0
         self._free.state = after
-        rows[first:end] = found
+        rows[first:end] = states
         rows[first:end, self._outputs.index("x")] = x_m
 
-    def _signals(self, rows: FloatArray, told: FloatArray) -> FloatArray:
+    def _signals(self, rows: FloatArray, goals_rad: FloatArray) -> FloatArray:
         names = self._outputs
         x, acceleration = rows[:, names.index("x")], rows[:, names.index("acceleration")]
         zero = np.zeros(len(rows))
@@ -194,7 +195,7 @@ class RailRig(Bench):
             force_x + noise[:, 0], rows[:, names.index("force_y")] + noise[:, 1], zero,
             zero, zero, rows[:, names.index("torque_z")],
             x, zero, zero, zero, zero, zero, np.ones(len(rows)), link, plate,
-            x, told,
+            x, goals_rad,
         ])  # fmt: skip
 
 

@@ -87,18 +87,18 @@ def _course(x: Any, p: Any, force: Any) -> Any:
     behind = (
         p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], LINK_HZ, LINK_DAMPING, p[13], p[14], p[15],
     )  # fmt: skip
-    one = fin(1.0, 6, x[6], state, behind, force[0], force[1])
-    push = 2.0 * ((one[7] - one[6]) * one[0] - one[14] * one[8] * one[3])
+    fin_force = fin(1.0, 6, x[6], state, behind, force[0], force[1])
+    push = 2.0 * ((fin_force[7] - fin_force[6]) * fin_force[0] - fin_force[14] * fin_force[8] * fin_force[3])
     drag = -p[10] * p[14] * x[1] * abs(x[1]) + force[2] + force[3]
-    ahead = (push + drag) / (p[13] + 2.0 * one[14] * one[3] * one[3])
-    return one, ahead, (one[6] / one[14] - one[9] - one[0] * ahead) / p[9]
+    ahead = (push + drag) / (p[13] + 2.0 * fin_force[14] * fin_force[3] * fin_force[3])
+    return fin_force, ahead, (fin_force[6] / fin_force[14] - fin_force[9] - fin_force[0] * ahead) / p[9]
 
 
 def course(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
     """Write rates of the states of a swimmer that is its own mirror image."""
-    one, ahead, bend = _course(x, p, force)
+    lateral, ahead, bend = _course(x, p, force)
     dx[0], dx[1] = x[1], ahead
-    dx[2], dx[3], dx[4], dx[5] = x[3], one[10], x[5], bend
+    dx[2], dx[3], dx[4], dx[5] = x[3], lateral[10], x[5], bend
     natural = 2.0 * math.pi * p[11]
     dx[6], dx[7] = x[7], natural * natural * (u[0] - x[6]) - 2.0 * p[12] * natural * x[7]
 
@@ -129,7 +129,7 @@ def swimmer_on_rail() -> Model:
     """
     states = ("x", "speed", "base", "base_rate", "bend", "bend_rate", "shaft", "shaft_rate")
     scale = Scale(0.5, 0.3, 3.0, 1.0, 0.5, 2.0)
-    told = load_effect("delay", "input").attach("told", scale, delay=0.5 * _FRAME_S)
+    delayed = load_effect("delay", "input").attach("told", scale, delay=0.5 * _FRAME_S)
     stamped = load_effect("delay", "output").attach("x", scale, delay=_CAMERAS_S)
     made = Model(
         name="swimmer-on-rail",
@@ -137,7 +137,10 @@ def swimmer_on_rail() -> Model:
         inputs=(Input("told", "rad"),),
         outputs=(Output("x", "m"), Output("force_x", "N")),
         parameters=(
-            *(replace(one, tolerance=0.0) if one.name in (*_ASIDE, *_BUILT) else one for one in PARAMETERS),
+            *(
+                replace(parameter, tolerance=0.0) if parameter.name in (*_ASIDE, *_BUILT) else parameter
+                for parameter in PARAMETERS
+            ),
             _CARRIAGE,
         ),
         sites=SITES,
@@ -146,7 +149,7 @@ def swimmer_on_rail() -> Model:
         constants=np.empty(0),
         source="a swimmer of two fins under a carriage",
     )
-    return made.with_effects([told, stamped])
+    return made.with_effects([delayed, stamped])
 
 
 def free_swimmer() -> Model:

@@ -95,7 +95,7 @@ class FlappingWing(Bench):
             if value not in _KNOWN[name]:
                 raise SpecError(
                     f"{name} = {value!r} is not to be had on this bench",
-                    hint=f"{name} may be {' or '.join(f'{one:g}' for one in _KNOWN[name])}",
+                    hint=f"{name} may be {' or '.join(f'{value:g}' for value in _KNOWN[name])}",
                 )
         if wanted != self._mounted:
             self._put({name: float(value) for name, value in wanted.items()}, self._scattered())
@@ -124,7 +124,7 @@ class FlappingWing(Bench):
         keys = self._settings
         coupling = {"servo_frequency": keys.coupling_hz, "servo_damping": keys.coupling_damping}
         self._model: Model = self._with_errors(model.with_values(scattered | coupling))
-        at_wing = [one for one in keys.hide if one.site not in self.joints]
+        at_wing = [hidden for hidden in keys.hide if hidden.site not in self.joints]
         self._at_wing = hidden_effects(at_wing, self._model, _SCALE)
         values = self._model.named_values
         self._lengths_m = (values["link"], values["arm"])
@@ -141,9 +141,9 @@ class FlappingWing(Bench):
         shaft = self._servo(self._drives["wing"].angles(time_s))
         driven = np.concatenate([self._shaft_before, shaft[:, None]])
         self._shaft_before = driven[-1:].copy()
-        found = self._stepper.advance(driven)
+        states = self._stepper.advance(driven)
         require_finite(self._stepper, "wing")
-        return np.column_stack([found[:, :3], *poses(found[:, 3], found[:, 4], *self._lengths_m), shaft])
+        return np.column_stack([states[:, :3], *poses(states[:, 3], states[:, 4], *self._lengths_m), shaft])
 
     def _recall(self, memory: Mapping[str, Any]) -> None:
         self._shaft_before = unpacked(memory["shaft_before"])

@@ -61,19 +61,19 @@ def _mounted(p: Any) -> Any:
 
 def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
     """Write rates of angle and rate of the base, bend and its rate. Input: what the servo is told, rad."""
-    one = fin(1.0, 6, u[0], _still(x), _mounted(p), force[0], force[1])
-    dx[0], dx[1] = x[1], one[10]
-    dx[2], dx[3] = x[3], (one[6] / one[14] - one[9]) / p[9]
+    fin_force = fin(1.0, 6, u[0], _still(x), _mounted(p), force[0], force[1])
+    dx[0], dx[1] = x[1], fin_force[10]
+    dx[2], dx[3] = x[3], (fin_force[6] / fin_force[14] - fin_force[9]) / p[9]
 
 
 def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
     """Write outputs: see `OUTPUTS`."""
-    one = fin(1.0, 6, u[0], _still(x), _mounted(p), force[0], force[1])
-    push, pull = one[7] - one[6], one[14] * one[8]
+    fin_force = fin(1.0, 6, u[0], _still(x), _mounted(p), force[0], force[1])
+    push, pull = fin_force[7] - fin_force[6], fin_force[14] * fin_force[8]
     two = p[15] < 0.5 and p[14] > 1.5
-    y[0] = (2.0 if two else 1.0) * (push * one[0] - pull * one[3])
-    y[1] = 0.0 if two else push * one[1] - pull * one[4]
-    y[2] = 0.0 if two else base_torque(one, (0.0, 0.0, 0.0))
+    y[0] = (2.0 if two else 1.0) * (push * fin_force[0] - pull * fin_force[3])
+    y[1] = 0.0 if two else push * fin_force[1] - pull * fin_force[4]
+    y[2] = 0.0 if two else base_torque(fin_force, (0.0, 0.0, 0.0))
     y[3], y[4] = x[0], x[0] + x[2]
 
 

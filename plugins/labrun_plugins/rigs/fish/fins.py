@@ -326,10 +326,10 @@ def _blades(
         for i in range(3):
             rate[i] = (now[d, i] - before[d, i]) * rate_hz
         # The plate of a link holds both of its elements: its normal is square to them.
-        one, other = 2 * (d // 2), 2 * (d // 2) + 1
-        n_x = middle[one, 1] * middle[other, 2] - middle[one, 2] * middle[other, 1]
-        n_y = middle[one, 2] * middle[other, 0] - middle[one, 0] * middle[other, 2]
-        n_z = middle[one, 0] * middle[other, 1] - middle[one, 1] * middle[other, 0]
+        first, other = 2 * (d // 2), 2 * (d // 2) + 1
+        n_x = middle[first, 1] * middle[other, 2] - middle[first, 2] * middle[other, 1]
+        n_y = middle[first, 2] * middle[other, 0] - middle[first, 0] * middle[other, 2]
+        n_z = middle[first, 0] * middle[other, 1] - middle[first, 1] * middle[other, 0]
         scale = 1.0 / math.sqrt(n_x * n_x + n_y * n_y + n_z * n_z)
         n_x, n_y, n_z = scale * n_x, scale * n_y, scale * n_z
         x, y, z = root_x + radius * middle[d, 0], root_y + radius * middle[d, 1], radius * middle[d, 2]

@@ -76,15 +76,15 @@ class Watch:
         if what == "swims":
             return "yes" if math.hypot(*(seen[-1, 1:3] - seen[0, 1:3])) > _SWIMS_M else "no"
         if what == "seconds_per_turn":
-            way, begun, whole = (
+            way, elapsed, whole = (
                 np.abs(seen[-1, 3] - seen[:, 3]),
                 np.abs(seen[:, 3] - seen[0, 3]),
                 2.0 * math.pi,
             )
         else:
             way = np.hypot(*(seen[-1, 1:3] - seen[:, 1:3]).T)
-            begun, whole = np.hypot(*(seen[:, 1:3] - seen[0, 1:3]).T), self._distance_m
-        up_to_speed = np.flatnonzero(begun >= whole)
+            elapsed, whole = np.hypot(*(seen[:, 1:3] - seen[0, 1:3]).T), self._distance_m
+        up_to_speed = np.flatnonzero(elapsed >= whole)
         left = way[up_to_speed[0]] if len(up_to_speed) else 0.0
         far = np.flatnonzero(way >= max(1, math.floor(left / whole)) * whole)
         first = int(far[-1]) if len(far) else 0

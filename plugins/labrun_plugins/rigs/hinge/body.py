@@ -154,7 +154,11 @@ def body_of(model: Model, condition: Condition) -> SpecimenBody:
     """
     names = [parameter.name for parameter in model.parameters]
     _require_hinge(model, names)
-    free = [one.name for one in model.parameters if one.tolerance == "free" and one.name not in FOUND]
+    free = [
+        parameter.name
+        for parameter in model.parameters
+        if parameter.tolerance == "free" and parameter.name not in FOUND
+    ]
     if free:
         raise FitError(
             f"hinge-maps needs the body, and model {model.name} leaves {', '.join(free)} free",

@@ -201,23 +201,27 @@ def body_warning(body: Body, shares: dict[str, float], *, in_intervals: bool) ->
     ]
 
 
-def with_body(found: dict[str, Estimate], shares: dict[str, float]) -> dict[str, Estimate]:
+def with_body(estimates: dict[str, Estimate], shares: dict[str, float]) -> dict[str, Estimate]:
     """Return estimates whose intervals cover both how releases scatter and what the stated body may shift."""
     widened = {}
-    for name, one in found.items():
-        shift = shares.get(name.removesuffix("_fourier"), 0.0) * abs(one.value)
-        low, high = (float(np.hypot(end - one.value, shift)) for end in one.ci95)
-        widened[name] = Estimate(one.value, (one.value - low, one.value + high), one.unit) if shift else one
+    for name, estimate in estimates.items():
+        shift = shares.get(name.removesuffix("_fourier"), 0.0) * abs(estimate.value)
+        low, high = (float(np.hypot(end - estimate.value, shift)) for end in estimate.ci95)
+        widened[name] = (
+            Estimate(estimate.value, (estimate.value - low, estimate.value + high), estimate.unit)
+            if shift
+            else estimate
+        )
     return widened
 
 
-def agreement_warnings(found: dict[str, Estimate], fourier: dict[str, Estimate]) -> list[str]:
+def agreement_warnings(estimates: dict[str, Estimate], fourier: dict[str, Estimate]) -> list[str]:
     """Return what both ways do not agree on."""
     return [
-        f"the two ways disagree on {name}: {_text(found[name])} by simulation, {_text(estimate)} by Fourier "
+        f"the two ways disagree on {name}: {_text(estimates[name])} by simulation, {_text(estimate)} by Fourier "
         "derivatives; on a swing that follows eq. (3.5) they agree"
         for name, estimate in fourier.items()
-        if name in found and _apart(found[name], estimate)
+        if name in estimates and _apart(estimates[name], estimate)
     ]
 
 
@@ -232,10 +236,10 @@ def residual_warning(rmse: float, noise: float) -> list[str]:
     ]
 
 
-def _apart(one: Estimate, other: Estimate) -> bool:
+def _apart(estimate: Estimate, other: Estimate) -> bool:
     """Tell whether two intervals do not meet, and the values differ by more than numbers do."""
-    close = abs(one.value - other.value) <= _CLOSE * max(abs(one.value), abs(other.value))
-    return not close and (one.ci95[1] < other.ci95[0] or other.ci95[1] < one.ci95[0])
+    close = abs(estimate.value - other.value) <= _CLOSE * max(abs(estimate.value), abs(other.value))
+    return not close and (estimate.ci95[1] < other.ci95[0] or other.ci95[1] < estimate.ci95[0])
 
 
 def _text(estimate: Estimate) -> str:
@@ -351,7 +355,7 @@ def _one_by_one(
     left_out = dataset.left_out + len(refused)
     dataset = replace(dataset, trials=trials, left_out=left_out)
     units = [parameter.unit for name in FOUND for parameter in model.parameters if parameter.name == name]
-    found = mean_over_releases(np.array([release.values for release in releases]), units, rng)
+    means = mean_over_releases(np.array([release.values for release in releases]), units, rng)
     fourier = mean_over_releases(np.array([release.fourier for release in releases]), units, rng)
     simulated = tuple(release.simulated for release in releases)
     squares = [
@@ -365,13 +369,13 @@ def _one_by_one(
             f"intervals rest on {len(trials)} trials only and are coarse; {FEW_TRIALS} or more would support them"
         )
     noise = float(np.sqrt(np.mean([swing.noise**2 for swing in swings])))
-    warnings += [*trends, *agreement_warnings(found, fourier), *residual_warning(rmse, noise)]
+    warnings += [*trends, *agreement_warnings(means, fourier), *residual_warning(rmse, noise)]
     return FitResult(
         method="hinge",
         model_name=model.name,
         data=FittedData.of(dataset),
         dataset=dataset,
-        parameters={**found, **_renamed(fourier)},
+        parameters={**means, **_renamed(fourier)},
         fixed={parameter.name: parameter.value for parameter in model.parameters if parameter.tolerance == 0},
         rmse={dataset.outputs[0].name: rmse},
         rmse_units={dataset.outputs[0].name: dataset.outputs[0].unit},
@@ -386,8 +390,10 @@ def _one_by_one(
 
 def _named(release: Release) -> dict[str, float]:
     ways = (("", release.values), ("_fourier", release.fourier))
-    found = {f"{name}{way}": float(values[place]) for way, values in ways for place, name in enumerate(FOUND)}
-    return {**found, "amplitude_rad": release.amplitude_rad}
+    named_values = {
+        f"{name}{way}": float(values[index]) for way, values in ways for index, name in enumerate(FOUND)
+    }
+    return {**named_values, "amplitude_rad": release.amplitude_rad}
 
 
 def _renamed(fourier: dict[str, Estimate]) -> dict[str, Estimate]:
@@ -437,11 +443,11 @@ def _fourier_together(
     units = {parameter.name: parameter.unit for parameter in model.parameters}
     return {
         name: Estimate(
-            float(values[place]),
-            (float(values[place] + spread.low[place]), float(values[place] + spread.high[place])),
+            float(values[index]),
+            (float(values[index] + spread.low[index]), float(values[index] + spread.high[index])),
             units[name],
         )
-        for place, name in enumerate(names)
+        for index, name in enumerate(names)
     }
 
 

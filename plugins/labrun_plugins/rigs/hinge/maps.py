@@ -82,39 +82,42 @@ def fit_hinge_maps(
     maps = {way: _maps(forms, specimens.every, way, job.rng)}
     other = "fourier" if way == "simulation" else "simulation"
     maps[other] = _maps(forms, specimens.every, other, job.rng)
-    found = maps[way]
+    fitted_maps = maps[way]
 
     name = " + ".join([specimens.first.name, *specimens.more])
     return FitSummary(
         METHOD,
-        ", ".join(one.form.label for one in found),
+        ", ".join(fitted.form.label for fitted in fitted_maps),
         FittedData(name, specimens.first.kind, specimens.trials, specimens.left_out),
-        {name: estimate for one in found for name, estimate in one.estimates.items()},
-        {one.form.quantity: float(np.sqrt(np.mean((one.measured - one.fitted) ** 2))) for one in found},
-        {one.form.quantity: UNITS[one.form.quantity] for one in found},
+        {name: estimate for fitted in fitted_maps for name, estimate in fitted.estimates.items()},
+        {
+            fitted.form.quantity: float(np.sqrt(np.mean((fitted.measured - fitted.fitted) ** 2)))
+            for fitted in fitted_maps
+        },
+        {fitted.form.quantity: UNITS[fitted.form.quantity] for fitted in fitted_maps},
         tables=(
-            *(specimen_table(one, specimens.every, way) for one in found),
-            quality_table(found),
-            *(coefficient_table(one) for one in found),
+            *(specimen_table(fitted, specimens.every, way) for fitted in fitted_maps),
+            quality_table(fitted_maps),
+            *(coefficient_table(fitted) for fitted in fitted_maps),
         ),
-        findings=tuple(findings(found, maps[other], specimens.every, way)),
+        findings=tuple(findings(fitted_maps, maps[other], specimens.every, way)),
         warnings=(
             *specimens.refused,
-            *(text for one in found for text in map_warnings(one)),
-            *warnings(found, specimens.every, way),
+            *(text for fitted in fitted_maps for text in map_warnings(fitted)),
+            *warnings(fitted_maps, specimens.every, way),
         ),
         details={
             "way": way,
-            "specimens": [_specimen_json(one) for one in specimens.every],
-            "maps": [_map_json(one) for one in found],
+            "specimens": [_specimen_json(specimen) for specimen in specimens.every],
+            "maps": [_map_json(fitted) for fitted in fitted_maps],
         },
-        figure_data=lambda: maps_figure(found, specimens.every, way),
+        figure_data=lambda: maps_figure(fitted_maps, specimens.every, way),
     )
 
 
 def _forms(specimens: Sequence[Specimen]) -> list[Form]:
     """Return the maps that the specimens ask for: over what differs between them."""
-    distinct = {name: _distinct([one.sizes[name] for one in specimens]) for name in SIZES}
+    distinct = {name: _distinct([specimen.sizes[name] for specimen in specimens]) for name in SIZES}
     varied = [name for name, count in distinct.items() if count > 1]
     if not varied:
         raise FitError(
@@ -139,10 +142,12 @@ def _distinct(values: Sequence[float]) -> int:
 def _maps(
     forms: Sequence[Form], specimens: Sequence[Specimen], way: str, rng: np.random.Generator
 ) -> list[FittedMap]:
-    sizes = {name: np.array([one.sizes[name] for one in specimens]) for name in SIZES}
+    sizes = {name: np.array([specimen.sizes[name] for specimen in specimens]) for name in SIZES}
     columns = {quantity: FOUND.index(quantity) for quantity in _QUANTITIES}
     return [
-        fit_polynomial(form, sizes, [one.by(way)[0][:, columns[form.quantity]] for one in specimens], rng=rng)
+        fit_polynomial(
+            form, sizes, [specimen.by(way)[0][:, columns[form.quantity]] for specimen in specimens], rng=rng
+        )
         for form in forms
     ]
 
@@ -165,20 +170,22 @@ def _specimen_json(specimen: Specimen) -> dict[str, Any]:
     }
 
 
-def _map_json(one: FittedMap) -> dict[str, Any]:
+def _map_json(fitted: FittedMap) -> dict[str, Any]:
     def number(value: float) -> float | None:
         return float(value) if np.isfinite(value) else None
 
-    rows = zip(one.form.names, one.by_releases, one.by_scatter, strict=True)
+    rows = zip(fitted.form.names, fitted.by_releases, fitted.by_scatter, strict=True)
     return {
-        "map": one.form.label,
-        "range_m": {name: [float(values.min()), float(values.max())] for name, values in one.sizes.items()},
-        "mae": one.mae,
-        "mae_percent": one.percent(one.mae),
-        "left_out_mae": number(one.left_out_mae),
-        "left_out_mae_percent": number(one.percent(one.left_out_mae)),
-        "condition_number": one.condition,
-        "condition_number_raw": one.raw_condition,
+        "map": fitted.form.label,
+        "range_m": {
+            name: [float(values.min()), float(values.max())] for name, values in fitted.sizes.items()
+        },
+        "mae": fitted.mae,
+        "mae_percent": fitted.percent(fitted.mae),
+        "left_out_mae": number(fitted.left_out_mae),
+        "left_out_mae_percent": number(fitted.percent(fitted.left_out_mae)),
+        "condition_number": fitted.condition,
+        "condition_number_raw": fitted.raw_condition,
         "intervals": {
             name: {
                 "releases": [number(end) for end in releases],

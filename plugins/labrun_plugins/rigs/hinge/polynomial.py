@@ -277,11 +277,11 @@ class FittedMap:
     @property
     def crossing(self) -> dict[str, float]:
         """The size of every variable that most specimens share: where the lines of specimens cross."""
-        found = {}
+        crossings = {}
         for name, values in self.sizes.items():
             sizes, counts = np.unique(values, return_counts=True)
-            found[name] = float(sizes[np.argmax(counts)])
-        return found
+            crossings[name] = float(sizes[np.argmax(counts)])
+        return crossings
 
     def line(self, name: str) -> dict[str, FloatArray]:
         """Return points along one size, between its smallest and its largest specimen, the others at the crossing."""
@@ -369,20 +369,20 @@ def _scaled(
 
 def _back(terms: Sequence[Term], centre: Mapping[str, float], scale: Mapping[str, float]) -> FloatArray:
     """Return the matrix that turns coefficients of centred and scaled variables into those of the variables."""
-    place = {term: index for index, term in enumerate(terms)}
+    index_of = {term: index for index, term in enumerate(terms)}
     matrix = np.zeros((len(terms), len(terms)))
-    matrix[place[CONSTANT], place[CONSTANT]] = 1.0
-    for (name, power), column in place.items():
+    matrix[index_of[CONSTANT], index_of[CONSTANT]] = 1.0
+    for (name, power), column in index_of.items():
         if not name:
             continue
         c, s = centre[name], scale[name]
         if power == 1:
             matrix[column, column] = 1.0 / s
-            matrix[place[CONSTANT], column] = -c / s
+            matrix[index_of[CONSTANT], column] = -c / s
         else:
             matrix[column, column] = 1.0 / s**2
-            matrix[place[name, 1], column] = -2.0 * c / s**2
-            matrix[place[CONSTANT], column] = c**2 / s**2
+            matrix[index_of[name, 1], column] = -2.0 * c / s**2
+            matrix[index_of[CONSTANT], column] = c**2 / s**2
     return matrix
 
 

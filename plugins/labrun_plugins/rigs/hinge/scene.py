@@ -220,7 +220,7 @@ class HingeBench(Bench):
             model, drag = _swinging(self._settings.model), 0.0
         self._model = self._with_errors(model)
         self._drag = load_effect("quadratic-drag").attach("hinge", coefficient=drag)
-        at_hinge = [one for one in self._settings.hide if one.site not in self.sensed]
+        at_hinge = [hidden for hidden in self._settings.hide if hidden.site not in self.sensed]
         self._hidden = hidden_effects(at_hinge, self._model, _SCALE)
         self._stepper = Stepper(self._model, effects=[self._drag, *self._hidden], step_s=self.step_s)
 

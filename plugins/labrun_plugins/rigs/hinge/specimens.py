@@ -110,7 +110,7 @@ def load_specimens(job: FitJob, stated: Mapping[str, float]) -> Specimens:
         for run, dataset in zip(runs, datasets, strict=True)
         for sizes, trials in _grouped(dataset, stated)
     ]
-    found: list[Specimen] = []
+    specimens: list[Specimen] = []
     refused: list[tuple[str, FitError]] = []
     lost = sum(dataset.left_out for dataset in datasets)
     for number, (run, dataset, trials, sizes) in enumerate(groups, start=1):
@@ -124,26 +124,31 @@ def load_specimens(job: FitJob, stated: Mapping[str, float]) -> Specimens:
             refused.append((label, error))
             lost += len(trials)
             continue
-        found.append(specimen)
+        specimens.append(specimen)
         lost += len(trials) - len(specimen.values)
-    if not found:
+    if not specimens:
         raise refused[0][1]
-    told = tuple(f"{label} is left out: {error.args[0]}" for label, error in refused)
-    found.sort(key=lambda one: [*(one.sizes[letter] for letter in ("w", "l", "a")), runs.index(one.run)])
-    return Specimens(tuple(found), datasets[0], tuple(runs[1:]), lost, told)
+    left_out = tuple(f"{label} is left out: {error.args[0]}" for label, error in refused)
+    specimens.sort(
+        key=lambda specimen: [
+            *(specimen.sizes[letter] for letter in ("w", "l", "a")),
+            runs.index(specimen.run),
+        ]
+    )
+    return Specimens(tuple(specimens), datasets[0], tuple(runs[1:]), lost, left_out)
 
 
 def _require_different(targets: Sequence[Path]) -> None:
     known: set[Path] = set()
     for target in targets:
-        place = (target.parent if target.name == "run.h5" else target).resolve()
-        if place in known:
+        folder = (target.parent if target.name == "run.h5" else target).resolve()
+        if folder in known:
             raise RequestError(
                 f"{target} is named twice: its specimens would count double",
                 hint="name every run once; a run folder (results/hinge-width/...) names one of "
                 "several runs of an experiment",
             )
-        known.add(place)
+        known.add(folder)
 
 
 def _dataset(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset:
@@ -156,8 +161,8 @@ def _dataset(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset:
 
 def _named_apart(names: Sequence[str]) -> list[str]:
     return [
-        f"{name} ({names[: place + 1].count(name)})" if names.count(name) > 1 else name
-        for place, name in enumerate(names)
+        f"{name} ({names[: index + 1].count(name)})" if names.count(name) > 1 else name
+        for index, name in enumerate(names)
     ]
 
 
@@ -193,17 +198,17 @@ def _sizes(trial: FitTrial, stated: Mapping[str, float], dataset: Dataset) -> tu
 
 def _label(sizes: Mapping[str, float], every: Sequence[Mapping[str, float]], run: str) -> str:
     """Name a specimen by what differs between specimens, and by its run where that is not enough."""
-    told = {
+    differing = {
         name: f"{sizes[name] / factor:g}"
         for name, (_, factor) in SIZES.items()
         if any(other[name] != sizes[name] for other in every)
     }
-    if "w" in told and "l" in told:
-        parts = [f"{told['w']} x {told['l']} mm"]
+    if "w" in differing and "l" in differing:
+        parts = [f"{differing['w']} x {differing['l']} mm"]
     else:
         words = {"w": "mm wide", "l": "mm long"}
-        parts = [f"{told[name]} {word}" for name, word in words.items() if name in told]
-    parts += [f"{told['a']} cm^2"] if "a" in told else []
+        parts = [f"{differing[name]} {word}" for name, word in words.items() if name in differing]
+    parts += [f"{differing['a']} cm^2"] if "a" in differing else []
     label = ", ".join(parts) or "the specimen"
     return f"{label} ({run})" if sum(other == sizes for other in every) > 1 else label
 
@@ -223,13 +228,13 @@ def _fitted(
     )
     ways = []
     for way in ("", "_fourier"):
-        releases = [[one[f"{name}{way}"] for name in FOUND] for one in result.by_trial]
+        releases = [[release[f"{name}{way}"] for name in FOUND] for release in result.by_trial]
         # a single release comes back as the estimate itself
         single = [[result.parameters[f"{name}{way}"].value for name in FOUND]]
         ways.append(
             (np.array(releases or single), {name: result.parameters[f"{name}{way}"] for name in FOUND})
         )
     # how many releases there are is told once for all specimens
-    told = tuple(text for text in result.warnings if "rest on" not in text)
+    notes = tuple(text for text in result.warnings if "rest on" not in text)
     (values, estimates), (fourier, fourier_estimates) = ways
-    return Specimen(label, run, sizes, body, values, fourier, estimates, fourier_estimates, told)
+    return Specimen(label, run, sizes, body, values, fourier, estimates, fourier_estimates, notes)

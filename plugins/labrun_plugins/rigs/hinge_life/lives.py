@@ -111,7 +111,7 @@ class LifeFit(WithSettings[LifeSettings]):
         parameters, fitted = dict[str, Estimate](), dict[str, Weibull]()
         findings, falls, rows = list[str](), list[str](), list[tuple[str, str]]()
         for life in lives:
-            told, count = f"{life.kind}: " if life.kind else "", len(life.cycles)
+            prefix, count = f"{life.kind}: " if life.kind else "", len(life.cycles)
             each = [
                 f"{cycles:.0f}" if failed else f"> {cycles:.0f}"
                 for cycles, failed in zip(life.cycles, life.failed, strict=True)
@@ -119,19 +119,19 @@ class LifeFit(WithSettings[LifeSettings]):
             rows.append((life.kind or "all", ", ".join(each)))
             fall = falls_per_decade(life)
             if fall is not None:
-                falls.append(f"{told}{load} falls by {100 * fall:.2g} % per decade of cycles")
+                falls.append(f"{prefix}{load} falls by {100 * fall:.2g} % per decade of cycles")
             if life.failures < _FEWEST_FAILURES:
-                findings.append(told + _outlived(life))
+                findings.append(prefix + _outlived(life))
                 continue
-            found = fitted[life.kind] = fit_weibull(life.cycles, life.failed)
-            median, shape = intervals(found, count, life.failures, job.rng)
+            weibull = fitted[life.kind] = fit_weibull(life.cycles, life.failed)
+            median, shape = intervals(weibull, count, life.failures, job.rng)
             # polyester_120 for layup = polyester, range = 120
             word = "_".join(["", *(part.partition(" = ")[2] for part in life.kind.split(", ") if part)])
-            parameters[f"median{word}"] = Estimate(found.median, median, "cycles")
-            parameters[f"shape{word}"] = Estimate(found.shape, shape, "1")
+            parameters[f"median{word}"] = Estimate(weibull.median, median, "cycles")
+            parameters[f"shape{word}"] = Estimate(weibull.shape, shape, "1")
             if life.failures < count:
                 alive = count - life.failures
-                findings.append(f"{told}{alive} of {count} outlived the test and count as more than it")
+                findings.append(f"{prefix}{alive} of {count} outlived the test and count as more than it")
         return FitSummary(
             method="life",
             model_name="life",
@@ -144,7 +144,7 @@ class LifeFit(WithSettings[LifeSettings]):
                     {
                         "kind": life.kind,
                         "cycles": life.cycles.tolist(),
-                        "censored": [not one for one in life.failed],
+                        "censored": [not failed for failed in life.failed],
                     }
                     for life in lives
                 ]
@@ -160,7 +160,7 @@ def fit_weibull(cycles: FloatArray, failed: FloatArray) -> Weibull:
 
 
 def intervals(
-    found: Weibull, count: int, failures: int, rng: np.random.Generator
+    weibull: Weibull, count: int, failures: int, rng: np.random.Generator
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return 95 % intervals of median and shape.
 
@@ -177,8 +177,8 @@ def intervals(
     pivot = shape * (np.log(scale) + centre / shape - centre)
     low, high = np.percentile(pivot, [2.5, 97.5])
     thin, wide = np.percentile(shape, [2.5, 97.5])
-    ends = (found.median * math.exp(-high / found.shape), found.median * math.exp(-low / found.shape))
-    return ends, (found.shape / float(wide), found.shape / float(thin))
+    ends = (weibull.median * math.exp(-high / weibull.shape), weibull.median * math.exp(-low / weibull.shape))
+    return ends, (weibull.shape / float(wide), weibull.shape / float(thin))
 
 
 def _solved(logs: FloatArray, failed: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -200,7 +200,7 @@ def _solved(logs: FloatArray, failed: FloatArray) -> tuple[FloatArray, FloatArra
 
 def falls_per_decade(life: Life) -> float | None:
     """Return by which share the load falls while cycles grow tenfold, mean over specimens; None if not known."""
-    found = []
+    lives = []
     for course in life.courses:
         # what happens at the end is the failure itself
         alive = np.abs(course[: max(int(0.9 * len(course)), 1)])
@@ -208,28 +208,30 @@ def falls_per_decade(life: Life) -> float | None:
             continue
         decades = np.log10(np.arange(1, len(alive) + 1))
         slope, level = np.polyfit(decades, alive, 1)
-        found.append(-slope / level)
-    return float(np.mean(found)) if found else None
+        lives.append(-slope / level)
+    return float(np.mean(lives)) if lives else None
 
 
 def _lives(run: Run, settings: LifeSettings) -> tuple[list[Life], int]:
-    done = [one for one in run.outcomes if one.status == "done"]
+    done = [outcome for outcome in run.outcomes if outcome.status == "done"]
     if not done:
         raise FitError(f"nothing to fit in {run.path}: it has no accepted trial")
-    if any(CYCLES not in one.objectives for one in done):
+    if any(CYCLES not in outcome.objectives for outcome in done):
         raise RequestError(
             f"{run.name} has no lives to fit: its trials do not run until something happens",
             hint="give the experiment a table [trial.until]",
         )
     groups: dict[str, list[TrialOutcome]] = {}
-    for one in done:
-        others = {name: value for name, value in one.condition.items() if name != settings.specimen}
-        groups.setdefault(condition_text(others), []).append(one)
+    for outcome in done:
+        others = {name: value for name, value in outcome.condition.items() if name != settings.specimen}
+        groups.setdefault(condition_text(others), []).append(outcome)
     lives = []
     for kind, outcomes in groups.items():
-        cycles = np.array([one.objectives[CYCLES] for one in outcomes])
-        failed = np.array([not one.censored for one in outcomes])
-        lives.append(Life(kind, cycles, failed, tuple(_course(run, one, settings) for one in outcomes)))
+        cycles = np.array([outcome.objectives[CYCLES] for outcome in outcomes])
+        failed = np.array([not outcome.censored for outcome in outcomes])
+        lives.append(
+            Life(kind, cycles, failed, tuple(_course(run, outcome, settings) for outcome in outcomes))
+        )
     return lives, len(run.outcomes) - len(done)
 
 
@@ -277,10 +279,10 @@ def _figure(name: str, lives: Sequence[Life], fitted: Mapping[str, Weibull], loa
         if life.kind in fitted:
             smooth = np.geomspace(max(float(cycles.min()) / 10.0, 1.0), 2.0 * float(cycles.max()), 200)
             alive.append(Curve(smooth, fitted[life.kind].survival(smooth), number, dashed=True))
-        for place, course in enumerate(life.courses):
+        for index, course in enumerate(life.courses):
             if len(course):
                 at = np.unique(np.geomspace(1, len(course), 400).astype(int))
-                label = life.kind if place == 0 else ""
+                label = life.kind if index == 0 else ""
                 courses.append(Curve(at.astype(float), np.abs(course[at - 1]), number, label))
     panels = [Panel(tuple(alive), "alive", x_label="cycles", y_label="share", log="x", y_range=(0.0, 1.05))]
     if courses:

@@ -80,11 +80,17 @@ class LifeBench(Bench):
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
-        at_joint = [one for one in self._settings.hide if one.site in self.joints and one.kind == "input"]
+        at_joint = [
+            hidden for hidden in self._settings.hide if hidden.site in self.joints and hidden.kind == "input"
+        ]
         self._servo = Passage(self.joints, at_joint, _JOINT_SCALE, self.step_s)
         self._sensor = self._passage(self.sensed)
         self._model = self._with_errors(model_beside(__file__, "bench.toml"))
-        in_hinge = [one for one in self._settings.hide if one not in at_joint and one.site not in self.sensed]
+        in_hinge = [
+            hidden
+            for hidden in self._settings.hide
+            if hidden not in at_joint and hidden.site not in self.sensed
+        ]
         in_model = hidden_effects(in_hinge, self._model, _SCALE)
         self._hidden = [*in_model, *self._servo.effects, *self._sensor.effects]
         self._stepper = Stepper(self._model, effects=in_model, step_s=self.step_s)
@@ -129,10 +135,10 @@ class LifeBench(Bench):
         self._cycles, self._side = 0, 1
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
-        told = self._drives["hinge"].angles(time_s)
-        sides = _sides(told, self._side)
+        angles = self._drives["hinge"].angles(time_s)
+        sides = _sides(angles, self._side)
         cycles = self._cycles + np.cumsum(np.diff(sides) > 0)
-        turned = self._servo(told)
+        turned = self._servo(angles)
         inputs = np.column_stack([turned, self._left(cycles)])
         torque = self._stepper.advance(np.concatenate([self._inputs_before, inputs]))[:, 0]
         felt = self._sensor(torque)

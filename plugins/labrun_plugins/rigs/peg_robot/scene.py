@@ -81,7 +81,7 @@ class PegRobot(Bench):
         super().__init__(settings, rng)
         self._model = joint_model(self.joints)
         keys = self._settings
-        in_sight = [one for one in keys.hide if one.site not in self.joints]
+        in_sight = [hidden for hidden in keys.hide if hidden.site not in self.joints]
         self._servo = self._passage(self.joints)
         self._sight = Passage(self.sensed, in_sight, _SCALE, self.step_s)
         self._spread = 0.0 if keys.as_modelled else keys.scatter * keys.noise * _BETWEEN_MOUNTINGS
@@ -171,9 +171,9 @@ def _crawl(arm: FloatArray, body: FloatArray, torques: FloatArray, numbers: Floa
             if abs(bend) >= passes:  # it slips past, into the next gap
                 peg += -1.0 if bend > 0.0 else 1.0
             elif bend > 0.0:
-                place = int(bend / spacing)
-                share = bend / spacing - place
-                torque = torques[place] + share * (torques[place + 1] - torques[place])
+                index = int(bend / spacing)
+                share = bend / spacing - index
+                torque = torques[index] + share * (torques[index + 1] - torques[index])
             else:
                 torque = max(slope * bend, -equal_limit)
         if abs(torque) > friction:

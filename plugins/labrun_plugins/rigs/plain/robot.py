@@ -66,9 +66,13 @@ class RobotBench(Bench):
         shown = _shown(robot)
         bare = parse_model(robot_table(robot, shown=shown), f"{robot.name}.toml")
         joints = {joint.name: joint for joint in robot.joints}
-        driven = [one for one in robot.actuators if one.command == "position" and one.joint]
-        self._driven = [[one.input for one in robot.actuators].index(one.input) for one in driven]
-        self.joints = tuple(one.joint for one in driven)
+        driven = [
+            actuator for actuator in robot.actuators if actuator.command == "position" and actuator.joint
+        ]
+        self._driven = [
+            [actuator.input for actuator in robot.actuators].index(actuator.input) for actuator in driven
+        ]
+        self.joints = tuple(actuator.joint for actuator in driven)
         self.signals = {
             **{name: joint.unit for name, joint in joints.items()}, **{name: unit for name, (_, unit) in shown.items()},
         }  # fmt: skip
@@ -139,12 +143,12 @@ def _robot(text: str) -> Robot:
 
 def _shown(robot: Robot) -> dict[str, tuple[str, str]]:
     """Return what is seen and felt besides joints: what of the MJCF model it is, and its unit."""
-    found: dict[str, tuple[str, str]] = {}
+    channels: dict[str, tuple[str, str]] = {}
     for body in robot.bodies:
-        found |= {f"{body}_{part}": (f"body.{body}.{place}", unit) for part, place, unit in _POSE}
+        channels |= {f"{body}_{part}": (f"body.{body}.{quantity}", unit) for part, quantity, unit in _POSE}
     for kind, unit in (("force", "N"), ("torque", "N m")):
         for sensor in robot.sensors.get(kind, ())[:1]:
-            found |= {
+            channels |= {
                 f"{kind}_{axis}": (f"sensor.{sensor}[{index}]", unit) for index, axis in enumerate(_AXES)
             }
-    return found
+    return channels

@@ -90,14 +90,14 @@ class RestFit(WithSettings[RestSettings]):
             )
         job.note("following the swing of every joint")
         swings = [swings_of(trial, self._settings.skip_s) for trial in data.trials]
-        rest = np.array([[one.rest for one in own] for own in swings])
+        rest = np.array([[s.rest for s in own] for own in swings])
         parameters = {
             f"rest_{joint}": mean_estimate(rest[:, column], "rad") for column, joint in enumerate(_JOINTS)
         }
         for joint in _SWINGING:
-            own = [one[_JOINTS.index(joint)] for one in swings]
-            parameters[f"period_{joint}"] = mean_estimate([one.period for one in own], "s")
-            parameters[f"decay_{joint}"] = mean_estimate([one.decay for one in own], "1/s")
+            own = [joint_swings[_JOINTS.index(joint)] for joint_swings in swings]
+            parameters[f"period_{joint}"] = mean_estimate([s.period for s in own], "s")
+            parameters[f"decay_{joint}"] = mean_estimate([s.decay for s in own], "1/s")
         job.note("simulating the swing")
         return FitSummary(
             method="six-bar-rest",
@@ -120,11 +120,11 @@ def swing(time_s: FloatArray, angle: FloatArray) -> Swing:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", OptimizeWarning)
-            found, _ = curve_fit(_decaying, t, angle, start, maxfev=4000)
+            coefficients, _ = curve_fit(_decaying, t, angle, start, maxfev=4000)
     except (RuntimeError, OptimizeWarning) as error:
         raise FitError(f"no decaying oscillation is found: {error}") from error
-    rest, decay, speed, a, b = found.tolist()
-    noise = float(np.sqrt(np.mean((angle - _decaying(t, *found)) ** 2)))
+    rest, decay, speed, a, b = coefficients.tolist()
+    noise = float(np.sqrt(np.mean((angle - _decaying(t, *coefficients)) ** 2)))
     return Swing(rest, decay, 2 * np.pi / abs(speed), float(np.hypot(a, b)), noise)
 
 
@@ -140,7 +140,7 @@ def swings_of(trial: FitTrial, skip_s: float) -> list[Swing]:
             f"{trial.label} has nothing left after its first {skip_s:g} s",
             hint="record longer, or set skip_s",
         )
-    found = []
+    swings = []
     for joint, angle in zip(_JOINTS, trial.outputs[late].T, strict=True):
         try:
             own = swing(trial.time_s[late], angle)
@@ -152,8 +152,8 @@ def swings_of(trial: FitTrial, skip_s: float) -> list[Swing]:
                 f"noise of {own.noise:.2g} rad",
                 hint=_LOOK,
             )
-        found.append(own)
-    return found
+        swings.append(own)
+    return swings
 
 
 def _closures(model: ClosedChain, data: Dataset, rest: FloatArray) -> tuple[str, ...]:
@@ -166,10 +166,10 @@ def _closures(model: ClosedChain, data: Dataset, rest: FloatArray) -> tuple[str,
         first = dict(zip(_JOINTS, trial.outputs[:3].mean(axis=0).tolist(), strict=True))
         start = free.initial_state(trial.condition, first=first)
         nothing = np.empty((len(trial.time_s), 0))
-        found = simulate(
+        simulated = simulate(
             free, trial.time_s, nothing, condition=trial.condition, initial_state=start, substeps=2
         )
-        angles = found.states[:: max(len(found.states) // 500, 1), : len(_JOINTS)]
+        angles = simulated.states[:: max(len(simulated.states) // 500, 1), : len(_JOINTS)]
         widest = max(widest, float(np.max(model.opening(angles)[:, 0])))
     predicted = model.with_initial(dict.fromkeys(_JOINTS, "rest")).initial_state(data.trials[0].condition)
     apart = np.abs(rest.mean(axis=0)[order] - predicted[: len(_JOINTS)])

@@ -88,7 +88,9 @@ class SixBar(Bench):
         ]
         loaded = load_model(_MODEL)
         self._rest = loaded.initial_state({})
-        in_sight = [one for one in self._settings.hide if one.site in self.sensed and one.kind == "output"]
+        in_sight = [
+            hidden for hidden in self._settings.hide if hidden.site in self.sensed and hidden.kind == "output"
+        ]
         self._sight = Passage(self.sensed, in_sight, _SCALE, self.step_s, self._rest[self._column])
         spread = self._settings.scatter * self._settings.noise * np.array(_BETWEEN_SETUPS)
         self._hand_before = np.array([[0.0, 0.0]])
@@ -111,7 +113,9 @@ class SixBar(Bench):
         self._factors = factors
         self._model = self._with_errors(self._nominal.with_values(scattered))
         at_hinges = [
-            one for one in self._settings.hide if not (one.site in self.sensed and one.kind == "output")
+            hidden
+            for hidden in self._settings.hide
+            if not (hidden.site in self.sensed and hidden.kind == "output")
         ]
         self._at_hinges = hidden_effects(at_hinges, self._model, _SCALE)
         self._stepper = Stepper(
@@ -143,8 +147,8 @@ class SixBar(Bench):
         angles[:, self._column] = seen
         turns = self._nominal.turns(angles)
         poses = []
-        for place in self._placed_by:
-            turn = np.broadcast_to(np.eye(3), (len(seen), 3, 3)) if place is None else turns[:, place]
+        for index in self._placed_by:
+            turn = np.broadcast_to(np.eye(3), (len(seen), 3, 3)) if index is None else turns[:, index]
             outward = 0.06 * turn[:, :, 0]
             poses += [_CENTRE_M + outward, Rotation.from_matrix(turn).as_quat()]
         return np.column_stack(poses)

@@ -142,9 +142,9 @@ def inverse_jacobian(theta_1: ArrayLike, theta_2: ArrayLike) -> FloatArray:
         As `forward`.
     """
     first, second = _within_workspace(theta_1, theta_2)
-    zero, one = np.zeros_like(first), np.ones_like(first)
-    a_carrying = np.stack([zero, one, zero], axis=-1)
-    a_other = np.stack([-one, zero, zero], axis=-1)
+    zero, ones = np.zeros_like(first), np.ones_like(first)
+    a_carrying = np.stack([zero, ones, zero], axis=-1)
+    a_other = np.stack([-ones, zero, zero], axis=-1)
     p = np.stack([np.cos(second), zero, -np.sin(second)], axis=-1)
     r = np.stack([zero, np.sin(first), np.cos(first)], axis=-1)
     w = np.cross(p, r)

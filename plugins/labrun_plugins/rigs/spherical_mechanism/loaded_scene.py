@@ -155,18 +155,18 @@ def _orientation(theta_1: float, theta_2: float) -> tuple[float, float, float, f
 @kernel
 def _with_play(shafts: FloatArray, horn: FloatArray, half_gap: float) -> FloatArray:
     """Return horns that shafts take along once the play is used up, shape (n, 2); `horn` is where they are left."""
-    found = np.empty_like(shafts)
+    torques = np.empty_like(shafts)
     for i in range(len(shafts)):
         for axis in range(2):
             horn[axis] = min(max(horn[axis], shafts[i, axis] - half_gap), shafts[i, axis] + half_gap)
-            found[i, axis] = horn[axis]
-    return found
+            torques[i, axis] = horn[axis]
+    return torques
 
 
 @kernel
 def _poses(angles: FloatArray) -> FloatArray:
     """Return x, y, z (0) and the quaternion x, y, z, w of the end-effector, shape (n, 7)."""
-    found = np.zeros((len(angles), 7))
+    poses = np.zeros((len(angles), 7))
     for i in range(len(angles)):
-        found[i, 3], found[i, 4], found[i, 5], found[i, 6] = _orientation(angles[i, 0], angles[i, 1])
-    return found
+        poses[i, 3], poses[i, 4], poses[i, 5], poses[i, 6] = _orientation(angles[i, 0], angles[i, 1])
+    return poses

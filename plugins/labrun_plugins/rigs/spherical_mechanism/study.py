@@ -123,18 +123,20 @@ class MlpStudy(WithSettings[StudySettings]):
         affine: dict[str, float] = {}
         grid = list(product(modes, settings.layers, settings.activations, settings.solvers))
         for mode in modes:
-            sets = [one.beside(settings.inverse if mode == "error" else "") for one in (first, second)]
+            sets = [
+                mode_set.beside(settings.inverse if mode == "error" else "") for mode_set in (first, second)
+            ]
             affine[mode] = _error(exact_affine(*sets[1].training), sets[1])
-            for _, layers, activation, solver in (one for one in grid if one[0] == mode):
+            for _, layers, activation, solver in (pair for pair in grid if pair[0] == mode):
                 key = (mode, layers, activation, solver)
-                found = kept.found.get(key)
-                if found is None:
+                row = kept.found.get(key)
+                if row is None:
                     job.note(
                         f"{len(rows) + 1} of {len(grid)}: {mode}, {layers} {settings.counted}, {activation}, {solver}"
                     )
-                    found = _row(settings, key, sets[0], sets[1], seed)
-                    kept.keep(found)
-                rows.append(found)
+                    row = _row(settings, key, sets[0], sets[1], seed)
+                    kept.keep(row)
+                rows.append(row)
         return _summary(settings, first, rows, affine)
 
 

@@ -95,10 +95,10 @@ def tensile_curve(
     end = int(np.argmax(strain)) + 1
     lost = np.maximum.accumulate(strain[:end]) - strain[:end]
     if lost.max() > _BACKWARDS:
-        place = int(np.argmax(lost))
+        index = int(np.argmax(lost))
         raise FitError(
-            f"the strain of {label} runs backwards: it loses {100 * lost[place]:.2g} % "
-            f"at {100 * strain[place]:.3g} %",
+            f"the strain of {label} runs backwards: it loses {100 * lost[index]:.2g} % "
+            f"at {100 * strain[index]:.3g} %",
             hint="a strip that slips in its grips does that, or a grip that was driven back: mark the trial rejected",
         )
     strain, stress, force = strain[:end], stress[:end], force_n[:end]
@@ -141,9 +141,9 @@ def _steepest(strain: FloatArray, stress: FloatArray, window: float) -> tuple[fl
     ends = np.minimum(ends[starts], len(strain))
     # sums of shifted values: squares of large numbers would cost digits
     x, y = strain - strain.mean(), stress - stress.mean()
-    sums = [np.concatenate([[0.0], np.cumsum(one)]) for one in (x, y, x * x, x * y)]
+    sums = [np.concatenate([[0.0], np.cumsum(series)]) for series in (x, y, x * x, x * y)]
     n = (ends - starts).astype(float)
-    sx, sy, sxx, sxy = (one[ends] - one[starts] for one in sums)
+    sx, sy, sxx, sxy = (series[ends] - series[starts] for series in sums)
     with np.errstate(divide="ignore", invalid="ignore"):
         slopes = (n * sxy - sx * sy) / (n * sxx - sx * sx)
     slopes[~np.isfinite(slopes) | (n < 3)] = -np.inf
@@ -180,11 +180,11 @@ SPECIMEN = "specimen"
 NEAR_GRIP_MM = 5.0
 """A break this near a grip is the grip's (D882-12 lets it count only if it fits the others)."""
 _QUANTITIES: tuple[tuple[str, str, Callable[[TensileCurve], float]], ...] = (
-    ("young", "MPa", lambda one: 1e-6 * one.young_pa),
-    ("yield_stress", "MPa", lambda one: 1e-6 * one.yield_pa),
-    ("yield_strain", "%", lambda one: 100.0 * one.yield_strain),
-    ("toe_strain", "%", lambda one: 100.0 * one.toe_strain),
-    ("fracture_load", "N", lambda one: one.greatest_n if one.broke else math.nan),
+    ("young", "MPa", lambda curve: 1e-6 * curve.young_pa),
+    ("yield_stress", "MPa", lambda curve: 1e-6 * curve.yield_pa),
+    ("yield_strain", "%", lambda curve: 100.0 * curve.yield_strain),
+    ("toe_strain", "%", lambda curve: 100.0 * curve.toe_strain),
+    ("fracture_load", "N", lambda curve: curve.greatest_n if curve.broke else math.nan),
 )
 
 
@@ -247,9 +247,9 @@ class TensileFit(WithSettings[TensileSettings]):
         parameters: dict[str, Estimate] = {}
         for group, specimens in groups.items():
             for name, unit, of in _QUANTITIES:
-                found = _estimate([[of(one) for one in curves] for curves in specimens.values()], unit)
-                if found is not None:
-                    parameters[f"{name}_{group}" if group else name] = found
+                estimate = _estimate([[of(curve) for curve in curves] for curves in specimens.values()], unit)
+                if estimate is not None:
+                    parameters[f"{name}_{group}" if group else name] = estimate
         warnings = [f"left out: {error.args[0]}" for error in refused]
         warnings += _near_grips(read)
         warnings += [
@@ -300,9 +300,9 @@ def _table(groups: Groups) -> TextTable:
     rows = []
     for group, specimens in groups.items():
         for specimen, curves in specimens.items():
-            values = (float(np.mean([of(one) for one in curves])) for _, _, of in _QUANTITIES)
-            told = ("" if math.isnan(value) else f"{value:.4g}" for value in values)
-            rows.append((f"{group} {specimen}".strip(), *told))
+            values = (float(np.mean([of(curve) for curve in curves])) for _, _, of in _QUANTITIES)
+            cells = ("" if math.isnan(value) else f"{value:.4g}" for value in values)
+            rows.append((f"{group} {specimen}".strip(), *cells))
     return TextTable("by specimen", header, tuple(rows))
 
 
@@ -310,9 +310,9 @@ def _details(groups: Groups) -> list[dict[str, Any]]:
     return [
         {"group": group, SPECIMEN: specimen}
         | {
-            name: float(np.mean([of(one) for one in curves]))
+            name: float(np.mean([of(curve) for curve in curves]))
             for name, _, of in _QUANTITIES
-            if math.isfinite(np.mean([of(one) for one in curves]))
+            if math.isfinite(np.mean([of(curve) for curve in curves]))
         }
         for group, specimens in groups.items()
         for specimen, curves in specimens.items()
@@ -322,19 +322,19 @@ def _details(groups: Groups) -> list[dict[str, Any]]:
 def _findings(groups: Groups, parameters: Mapping[str, Estimate]) -> list[str]:
     if len(groups) != 2 or "" in groups:
         return []
-    one, other = groups
-    told = []
+    first_group, other = groups
+    lines = []
     for name, what in (("young", "initial slopes"), ("fracture_load", "fracture loads")):
-        first, second = parameters.get(f"{name}_{one}"), parameters.get(f"{name}_{other}")
+        first, second = parameters.get(f"{name}_{first_group}"), parameters.get(f"{name}_{other}")
         if first is None or second is None:
             continue
         apart = first.ci95[1] < second.ci95[0] or second.ci95[1] < first.ci95[0]
         ratio = second.value / first.value
-        told.append(
-            f"{what}: {other} has {ratio:.2f} times that of {one}"
+        lines.append(
+            f"{what}: {other} has {ratio:.2f} times that of {first_group}"
             + ("" if apart else ", which their intervals do not tell apart")
         )
-    return told
+    return lines
 
 
 def _allowable(parameters: Mapping[str, Estimate], keys: TensileSettings) -> list[str]:
@@ -379,7 +379,7 @@ def _figure(
         if math.isfinite(curve.yield_pa):
             yields.append((100 * curve.yield_strain, 1e-6 * curve.yield_pa))
     young = 1e-6 * float(np.mean([curve.young_pa for _, curve in read]))
-    top = max((stress for _, stress in yields), default=max(float(np.max(one.y)) for one in curves))
+    top = max((stress for _, stress in yields), default=max(float(np.max(curve.y)) for curve in curves))
     line = np.array([0.0, 1.1 * top])
     curves.append(Curve(100 * line / young, line, "fitted", f"{young:.0f} MPa"))
     if yields:

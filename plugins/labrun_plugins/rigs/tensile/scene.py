@@ -150,10 +150,10 @@ class TensileBench(Bench):
         self._farthest, self._whole, self._clamped = np.full(1, -np.inf), True, False
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
-        told = self._drives["pusher"].angles(time_s)
-        moved = self._grip(told)
-        first = 0 if self._clamped else self._clamps_at(told)
-        if not self._clamped and first < len(told):
+        angles = self._drives["pusher"].angles(time_s)
+        moved = self._grip(angles)
+        first = 0 if self._clamped else self._clamps_at(angles)
+        if not self._clamped and first < len(angles):
             self._clamped = True
             self._stepper = Stepper(self._model, effects=self._hidden, step_s=self.step_s)
             self._stepper.state = (float(moved[first]),) * 2
@@ -168,15 +168,15 @@ class TensileBench(Bench):
             self._whole = False
             force[breaks[0] :] = 0.0
         felt = self._cell(force)
-        self._told_before = told[-1:].copy()
+        self._told_before = angles[-1:].copy()
         require_finite(self._stepper, "tensile bench")
         return np.column_stack([felt, moved])
 
-    def _clamps_at(self, told: FloatArray) -> int:
+    def _clamps_at(self, goals_m: FloatArray) -> int:
         """Return the first moment at which the stage stands still at zero; the number of moments if it never does."""
-        still = np.diff(told, prepend=self._told_before) == 0.0
-        found = np.flatnonzero(still & (np.abs(told) <= _AT_ZERO_M))
-        return int(found[0]) if len(found) else len(told)
+        still = np.diff(goals_m, prepend=self._told_before) == 0.0
+        at_zero = np.flatnonzero(still & (np.abs(goals_m) <= _AT_ZERO_M))
+        return int(at_zero[0]) if len(at_zero) else len(goals_m)
 
     def _pulled(self, moved: FloatArray, farthest: FloatArray) -> FloatArray:
         """Return the force of a clamped strip while the grip moves."""

@@ -177,14 +177,16 @@ class Bench(ABC):
 
     def _passage(self, names: tuple[str, ...], scale: Scale | None = None) -> Passage:
         """Return what joints or sensed signals pass through: the effects that hide at them."""
-        wanted = [one for one in self._settings.hide if one.site in names]
+        wanted = [hidden for hidden in self._settings.hide if hidden.site in names]
         return Passage(names, wanted, scale or self.scale, self.step_s)
 
     def _inside(self) -> list[AttachedEffect]:
         """Return the effects that hide inside the model: all but those that `_passage` is for."""
         elsewhere = (*self.joints, *self.sensed)
         return hidden_effects(
-            [one for one in self._settings.hide if one.site not in elsewhere], self._model, self.scale
+            [hidden for hidden in self._settings.hide if hidden.site not in elsewhere],
+            self._model,
+            self.scale,
         )
 
     def _truth(self, hidden: Iterable[AttachedEffect], **bench: Any) -> dict[str, Any]:

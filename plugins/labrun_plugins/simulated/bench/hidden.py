@@ -20,7 +20,7 @@ def hidden_effects(wanted: Iterable[HiddenEffect], model: Model, scale: Scale) -
 
     Raises SpecError: no such site, or no such effect for its kind of site.
     """
-    return [_attached(one, model, scale) for one in wanted]
+    return [_attached(effect, model, scale) for effect in wanted]
 
 
 def require_finite(stepper: Stepper, bench: str) -> None:
@@ -73,16 +73,14 @@ def joint_stepper(joints: tuple[str, ...], step_s: float, effects: Sequence[Atta
 
 
 def _attached(wanted: HiddenEffect, model: Model, scale: Scale) -> AttachedEffect:
-    places = [
-        place for place in model.places if place.name == wanted.site and wanted.kind in (None, place.kind)
-    ]
+    places = [site for site in model.places if site.name == wanted.site and wanted.kind in (None, site.kind)]
     if not places:
-        known = ", ".join(dict.fromkeys(place.name for place in model.places))
+        known = ", ".join(dict.fromkeys(location.name for location in model.places))
         raise SpecError(f"rig.scene.hide: this bench has no site {wanted.site!r}", hint=f"it has {known}")
     refusals = []
-    for place in places:
+    for site in places:
         try:
-            effect = load_effect(wanted.effect, place.kind)
+            effect = load_effect(wanted.effect, site.kind)
             attached = effect.attach(wanted.site, scale, **wanted.values)
             attached.check(model)
         except (PluginError, ModelError) as error:

@@ -70,17 +70,17 @@ class History:
 
         Raises ExperimentError: a time that is no longer, or not yet, known.
         """
-        found = np.empty((len(time_s), len(columns)))
+        values = np.empty((len(time_s), len(columns)))
         known_rows = self._rows[: self._count]
         if not _interpolate(
-            known_rows, self._first, self.step_s, columns, np.ascontiguousarray(time_s), found
+            known_rows, self._first, self.step_s, columns, np.ascontiguousarray(time_s), values
         ):
             known = f"{self._first * self.step_s:.3f} ... {(self.end - 1) * self.step_s:.3f} s"
             raise ExperimentError(
                 f"the simulated bench was asked for {time_s.min():.3f} ... {time_s.max():.3f} s, it knows {known}",
                 hint="sensors must be read at least every two minutes of a dry run",
             )
-        return found
+        return values
 
     def snapshot(self, span_s: float) -> list[Any]:
         """Return the last stretch as JSON-ready values."""
@@ -132,7 +132,7 @@ def restore_generator(rng: np.random.Generator, state: dict[str, Any]) -> None:
 
 @kernel
 def _interpolate(
-    rows: FloatArray, first: int, step_s: float, columns: IntArray, time_s: FloatArray, found: FloatArray
+    rows: FloatArray, first: int, step_s: float, columns: IntArray, time_s: FloatArray, out: FloatArray
 ) -> bool:
     """Write the values between grid points; False where a time is not known."""
     for i in range(len(time_s)):
@@ -145,7 +145,7 @@ def _interpolate(
             return False
         for j in range(len(columns)):
             below = rows[index, columns[j]]
-            found[i, j] = below + weight * (rows[index + 1, columns[j]] - below)
+            out[i, j] = below + weight * (rows[index + 1, columns[j]] - below)
     return True
 
 
@@ -326,6 +326,6 @@ class Carriage:
 
     def restore(self, stored: list[object]) -> None:
         """Take back what `snapshot` gave."""
-        self._begin([float(str(one)) for one in stored[:5]])
+        self._begin([float(str(value)) for value in stored[:5]])
         later = stored[5]
-        self._later = [[float(one) for one in move] for move in later] if isinstance(later, list) else []
+        self._later = [[float(value) for value in move] for move in later] if isinstance(later, list) else []
