@@ -57,11 +57,11 @@ class CheckedRecording:
     @property
     def conditions(self) -> dict[object, int]:
         """How often each condition was measured."""
-        found: dict[object, int] = {}
+        conditions: dict[object, int] = {}
         for trial in self.recording.trials:
             key = condition_key(trial.condition)
-            found[key] = found.get(key, 0) + 1
-        return found
+            conditions[key] = conditions.get(key, 0) + 1
+        return conditions
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun check --json`` prints of a recording."""
@@ -75,7 +75,7 @@ class CheckedRecording:
                 for name, kind, unit, low, high in _channels(self.recording)
             ],
             "model": self.model or None,
-            "off_as_stated": {name: one[0] for name, one in self.off.items()},
+            "off_as_stated": {name: offset[0] for name, offset in self.off.items()},
             "remarks": list(self.remarks),
             "next": self.next,
         }
@@ -83,7 +83,7 @@ class CheckedRecording:
     def to_text(self) -> str:
         """Return what a person wants to know of it."""
         trials, repeats = self.recording.trials, sorted(self.conditions.values())
-        lasting = short_time_text(sum(float(one.time_s[-1] - one.time_s[0]) for one in trials))
+        lasting = short_time_text(sum(float(trial.time_s[-1] - trial.time_s[0]) for trial in trials))
         times = f"{repeats[0]}" if repeats[0] == repeats[-1] else f"{repeats[0]} to {repeats[-1]}"
         each = "none of them repeated" if repeats[-1] == 1 else f"each measured {times} times"
         samples = lasting if lasting != "0 s" else "values without a course in time"
@@ -102,7 +102,7 @@ class CheckedRecording:
                 f"  {name} is off by {off:.3g} RMS; measured, it varies by {spread:.3g} RMS"
                 for name, (off, spread) in self.off.items()
             ]
-        return "\n".join([*lines, *(f"note   {one}" for one in self.remarks), f"next   {self.next}"])
+        return "\n".join([*lines, *(f"note   {remark}" for remark in self.remarks), f"next   {self.next}"])
 
 
 def check_recording(target: str | Path, *, model: str | Path | None = None) -> CheckedRecording:
@@ -141,14 +141,14 @@ def check_recording(target: str | Path, *, model: str | Path | None = None) -> C
         )
     loaded, signals = held_against(folder, None if model is None else named_model(model, Path()), Path())
     data, remarks = checked_trials(load_held(folder, loaded, signals))
-    off, said = _held(loaded, data)
+    off, messages = _held(loaded, data)
     named = "" if model is None else f" --model {model}"
     return CheckedRecording(
         folder,
         recording,
         loaded.name,
         off,
-        (*doubts(recording), *remarks, *said, *_of_robot(folder, model)),
+        (*doubts(recording), *remarks, *messages, *_of_robot(folder, model)),
         f"labrun gap diagnose {folder}{named}",
     )
 
@@ -167,7 +167,7 @@ def require_near(target: str | Path, *, results: str | Path = "results") -> None
         return
     question = ask(folder, None)
     robot = robot_of(folder, question.dataset)
-    goals = {one.joint for one in robot.actuators if one.command in ("position", "velocity")}
+    goals = {actuator.joint for actuator in robot.actuators if actuator.command in ("position", "velocity")}
     if not goals:
         return
     still = {
@@ -191,9 +191,9 @@ def require_near(target: str | Path, *, results: str | Path = "results") -> None
 def _channels(recording: Recording) -> Iterator[tuple[str, str, str, float, float]]:
     """Yield name, kind, unit, and between which values every channel runs."""
     for kind, infos in (("input", recording.inputs), ("output", recording.outputs)):
-        for place, info in enumerate(infos):
+        for index, info in enumerate(infos):
             tables = [trial.inputs if kind == "input" else trial.outputs for trial in recording.trials]
-            values = np.concatenate([table[:, place] for table in tables])
+            values = np.concatenate([table[:, index] for table in tables])
             yield info.name, kind, info.unit, float(np.min(values)), float(np.max(values))
 
 
@@ -231,14 +231,14 @@ def doubts(recording: Recording) -> Iterator[str]:
 def _jumps(recording: Recording) -> Iterator[str]:
     """Yield where an angle jumps by whole turns from one sample to the next."""
     for kind, infos in (("inputs", recording.inputs), ("outputs", recording.outputs)):
-        for place, info in enumerate(infos):
+        for index, info in enumerate(infos):
             if info.unit not in _TURNS:
                 continue
             turn = _TURNS[info.unit]
             jumps = [
                 (trial.source_file.name, jump)
                 for trial in recording.trials
-                for jump in find_jumps(getattr(trial, kind)[:, place], (turn,))
+                for jump in find_jumps(getattr(trial, kind)[:, index], (turn,))
             ]
             if jumps:
                 file, jump = jumps[0]
@@ -255,18 +255,18 @@ def _held(model: Model, data: Dataset) -> tuple[dict[str, tuple[float, float]], 
         simulated = problem.simulated(problem.begin())
     except FitError as error:
         return {}, [f"{error.args[0]} as it is stated: {error.hint}"]
-    off, said = {}, divergence_warnings(problem, problem.begin())
-    for place, output in enumerate(data.outputs):
-        measured = np.concatenate([trial.outputs[:, place] for trial in data.trials])
-        missed = float(np.sqrt(np.mean(np.square(measured - np.concatenate(simulated)[:, place]))))
+    off, warnings = {}, divergence_warnings(problem, problem.begin())
+    for index, output in enumerate(data.outputs):
+        measured = np.concatenate([trial.outputs[:, index] for trial in data.trials])
+        missed = float(np.sqrt(np.mean(np.square(measured - np.concatenate(simulated)[:, index]))))
         spread = float(np.std(measured))
         off[output.name] = (missed, spread)
-        if missed > _FAR_OFF * spread and not any("diverges" in one for one in said):
-            said.append(
+        if missed > _FAR_OFF * spread and not any("diverges" in warning for warning in warnings):
+            warnings.append(
                 f"{output.name} is simulated {missed / spread:.2g} times as far off as it moves: look at units, "
                 "signs and beginnings first, and whether only a controller, which the model has not, kept it there"
             )
-    return off, said
+    return off, warnings
 
 
 def _of_robot(folder: Path, model: str | Path | None) -> list[str]:

@@ -96,8 +96,11 @@ def robot_of(folder: Path, dataset: Dataset) -> Robot:
 
     Its remarks are of that alone: what the file lacks was said when the log was imported.
     """
-    robot, names = replace(read_robot(folder / ROBOT), remarks=()), [one.name for one in dataset.outputs]
-    measured = [(one.name, names.index(one.output)) for one in robot.joints if one.output in names]
+    robot, names = (
+        replace(read_robot(folder / ROBOT), remarks=()),
+        [output.name for output in dataset.outputs],
+    )
+    measured = [(joint.name, names.index(joint.output)) for joint in robot.joints if joint.output in names]
     values = np.concatenate([trial.outputs for trial in dataset.trials])
     return with_grip_held(robot, {name: float(np.mean(values[:, column])) for name, column in measured})
 
@@ -150,11 +153,11 @@ def diagnose_joints(
     robot = robot_of(folder, question.dataset)
     done = JointsDone(where.with_name(f"{where.name}-joints.json"))
     with logged(note, progress_file(where)) as both:
-        found = diagnose_robot(
+        diagnosis = diagnose_robot(
             robot, question.model, question.dataset, options, note=both, finished=done.keep
         )
-    found = replace(found, source=str(folder), remarks=(*robot.remarks, *found.remarks))
-    numbers, check = found.to_json(), None
+    diagnosis = replace(diagnosis, source=str(folder), remarks=(*robot.remarks, *diagnosis.remarks))
+    numbers, check = diagnosis.to_json(), None
     if save_model is not None:
         check = check_file(robot, question.model, question.dataset, numbers, note=note)
         numbers["file_check"] = check.to_json()
@@ -164,11 +167,11 @@ def diagnose_joints(
         # matplotlib
         from labrun.report import robot_figure, robot_page
 
-        return robot_page(found, check), robot_figure(found)
+        return robot_page(diagnosis, check), robot_figure(diagnosis)
 
     kept = keep(where, numbers, question.model.source, drawn if page else None)
     done.file.unlink(missing_ok=True)
-    stored = StoredRobotDiagnosis(found, *kept, check=check)
+    stored = StoredRobotDiagnosis(diagnosis, *kept, check=check)
     if save_model is None or check is None:
         return stored
     write_model({**numbers, **check.model.to_json()}, question.model.source, save_model)

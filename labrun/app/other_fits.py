@@ -52,16 +52,16 @@ def read_fit(path: Path, robot: Robot) -> list[FittedValue]:
 def _of_robot(robot: Robot) -> list[FittedValue]:
     names = [joint.name for joint in robot.joints]
     terms = robot_terms(robot.xml, names)
-    found = []
-    for place, name in enumerate(names):
+    results = []
+    for index, name in enumerate(names):
         numbers: dict[Quantity, float] = {
-            "armature": terms.armature[place], "damping": terms.damping[place],
-            "frictionloss": terms.friction[place], "stiffness": terms.stiffness[place],
+            "armature": terms.armature[index], "damping": terms.damping[index],
+            "frictionloss": terms.friction[index], "stiffness": terms.stiffness[index],
         }  # fmt: skip
         if name in terms.drives and terms.drives[name].kp:
             numbers["kp"] = terms.drives[name].kp
-        found += [FittedValue(name, quantity, float(value)) for quantity, value in numbers.items()]
-    return found
+        results += [FittedValue(name, quantity, float(value)) for quantity, value in numbers.items()]
+    return results
 
 
 def _table(path: Path) -> Mapping[str, Any]:
