@@ -184,29 +184,29 @@ def prepare(
     ]
     command += ["--first", str(first), "--workers", str(workers), "--out", str(folder.path)]
     command += [] if only is None else ["--only", only]
-    command += [f"--{one}" for one in data]
+    command += [f"--{option}" for option in data]
     return _made(command, note)
 
 
 def _made(command: Sequence[str], note: Note) -> str:
     """Run the generator; return the line in which it tells the seal."""
-    told: list[str] = []
-    with tempfile.TemporaryFile("w+", encoding="utf-8") as said:
-        process = subprocess.Popen(command, stdout=said, stderr=subprocess.PIPE, text=True, encoding="utf-8")
+    messages: list[str] = []
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as file:
+        process = subprocess.Popen(command, stdout=file, stderr=subprocess.PIPE, text=True, encoding="utf-8")
         try:
             for line in process.stderr or ():
-                told = [*told[1 - _TOLD_LINES :], line.rstrip()]
+                messages = [*messages[1 - _TOLD_LINES :], line.rstrip()]
                 if line.startswith("made "):
                     note(f"making the cases: {line.strip()}")
             code = process.wait()
         except BaseException:
             _stop(process)
             raise
-        said.seek(0)
-        seal = said.read().strip()
+        file.seek(0)
+        seal = file.read().strip()
     if code != 0 or not seal:
         raise LabrunError(
-            f"the generator {command[1]} ended with exit code {code}:\n    " + "\n    ".join(told),
+            f"the generator {command[1]} ended with exit code {code}:\n    " + "\n    ".join(messages),
             hint=f"to see it alone: {' '.join(command)}",
         )
     return seal.splitlines()[0]
@@ -237,16 +237,18 @@ def open_answers(folder: Path, printed: str) -> list[dict[str, Any]]:
         salt = (sealed / "salt.txt").read_text(encoding="utf-8").strip().encode()
     except OSError as error:
         raise LabrunError(f"the salt of the seal is gone: {error}", hint=_NOT_SCORED) from error
-    found = {path.stem: path.read_bytes() for path in sorted(sealed.glob("case-*.json"))}
-    faults += [f"{sealed / name}.json is in no seal" for name in sorted(found.keys() - seal.cases.keys())]
+    sealed_bytes = {path.stem: path.read_bytes() for path in sorted(sealed.glob("case-*.json"))}
+    faults += [
+        f"{sealed / name}.json is in no seal" for name in sorted(sealed_bytes.keys() - seal.cases.keys())
+    ]
     for name, expected in sorted(seal.cases.items()):
-        if name not in found:
+        if name not in sealed_bytes:
             faults.append(f"{sealed / name}.json is missing")
-        elif hashlib.sha256(salt + found[name]).hexdigest() != expected:
+        elif hashlib.sha256(salt + sealed_bytes[name]).hexdigest() != expected:
             faults.append(f"{sealed / name}.json was changed after it was sealed")
     if faults:
         raise LabrunError("the seal is broken:\n    " + "\n    ".join(faults), hint=_NOT_SCORED)
-    return [json.loads(found[name]) for name in sorted(found)]
+    return [json.loads(sealed_bytes[name]) for name in sorted(sealed_bytes)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +266,7 @@ class _Seal:
 def _stated(folder: Path) -> _Seal:
     try:
         content = json.loads((folder / _SEAL).read_text(encoding="utf-8"))
-        return _Seal(str(content["all"]), {str(name): str(one) for name, one in content["cases"].items()})
+        return _Seal(str(content["all"]), {str(name): str(case) for name, case in content["cases"].items()})
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RequestError(
             f"{folder} holds no sealed cases ({type(error).__name__}: {error})",
@@ -293,10 +295,10 @@ def _files(folder: Path) -> Files:
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        loads = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return found if isinstance(found, dict) else None
+    return loads if isinstance(loads, dict) else None
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:

@@ -210,9 +210,9 @@ def check(
         else:
             announce(line)
         with pool(workers, cluster) as there:
-            said = _diagnosed(folder, seed, there, note)
+            message = _diagnosed(folder, seed, there, note)
             note("simulating the corrected models on fresh trials")
-            shown = _shown(folder, seed, said, there)
+            shown = _shown(folder, seed, message, there)
             replies = {tool: _asked(folder, tool, there, note) for tool in asked_tools}
     note("opening the seal")
     truths = [Truth.from_json(answer) for answer in open_answers(folder.path, printed)]
@@ -220,12 +220,12 @@ def check(
     judged = tuple(
         judge(
             truth,
-            Reply.of_labrun(said[truth.case]),
+            Reply.of_labrun(message[truth.case]),
             Shown.from_json(shown[truth.case]) if truth.case in shown else None,
         )
         for truth in truths
     )
-    programmes = tuple(sorted({str(diagnosis["programme"]) for diagnosis in said.values()}))
+    programmes = tuple(sorted({str(diagnosis["programme"]) for diagnosis in message.values()}))
     result = Checked(
         seed,
         only,
@@ -319,17 +319,17 @@ def _asked(folder: CheckFolder, tool: Tool, there: Pool, note: Note) -> dict[str
 
 
 def _shown(
-    folder: CheckFolder, seed: int, said: Mapping[str, Mapping[str, Any]], there: Pool
+    folder: CheckFolder, seed: int, answers: Mapping[str, Mapping[str, Any]], there: Pool
 ) -> dict[str, dict[str, Any]]:
     """Return what fresh trials showed of every case in which labrun claims a cause."""
-    replies = {name: Reply.of_labrun(diagnosis) for name, diagnosis in said.items()}
+    replies = {name: Reply.of_labrun(diagnosis) for name, diagnosis in answers.items()}
     claimed = [name for name, reply in replies.items() if reply.answer is not None and reply.answer.causes]
     shown = {name: kept for name in claimed if (kept := folder.shown(name)) is not None}
     missing = [name for name in claimed if name not in shown]
 
     def jobs() -> Iterator[Job]:
         for name in missing:
-            arguments = (name, folder.fresh(name), folder.model(name), said[name], case_seed(seed, name))
+            arguments = (name, folder.fresh(name), folder.model(name), answers[name], case_seed(seed, name))
             yield name, shrink_case, arguments
 
     for name, share in spread(there, jobs()):
@@ -356,5 +356,5 @@ def _as_asked(truths: list[Truth], seed: int, only: str | None, folder: Path) ->
 
 def _default_folder(cases: int, seed: int, first: int, only: str | None, data: Sequence[str]) -> Path:
     kinds = "" if only is None else f"only-{only}-"
-    kinds += "".join(f"{one.replace('=', '-')}-" for one in data)
+    kinds += "".join(f"{option.replace('=', '-')}-" for option in data)
     return Path("gap-check") / f"seed-{seed}-{kinds}cases-{first}-to-{first + cases - 1}"

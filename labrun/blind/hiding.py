@@ -101,7 +101,9 @@ def choose_hidden(
         return []
     if model is not None and RANDOM in wanted:
         rng = np.random.default_rng(secrets.randbits(128) if seed is None else seed)
-        return [_with_units(one, scene, model) for one in _drawn(experiment, scene, model, conditions, rng)]
+        return [
+            _with_units(hidden, scene, model) for hidden in _drawn(experiment, scene, model, conditions, rng)
+        ]
     return [
         _with_units(_parsed(text, scene), scene, model) if "@" in text else _parameter(text, scene, model)
         for text in wanted
@@ -110,15 +112,18 @@ def choose_hidden(
 
 def _with_units(hidden: dict[str, Any], scene: HidingScene, model: Model | None) -> dict[str, Any]:
     """Return a hidden effect with the units of its values."""
-    coordinates = {one.name: one.unit or ("m" if one.kind == "body" else "rad") for one in scene.places}
+    coordinates = {
+        location.name: location.unit or ("m" if location.kind == "body" else "rad")
+        for location in scene.places
+    }
     signals = dict(scene.signals)
     if model is not None:
-        coordinates |= {one.name: model.coordinate_unit(one) for one in model.sites}
-        signals |= {one.name: one.unit for one in model.inputs}
-        signals |= {one.name: one.unit for one in model.outputs}
+        coordinates |= {site.name: model.coordinate_unit(site) for site in model.sites}
+        signals |= {signal.name: signal.unit for signal in model.inputs}
+        signals |= {output.name: output.unit for output in model.outputs}
     units = coordinates.get(hidden["site"], "rad"), signals.get(hidden["site"], "1")
     parameters = load_effect(hidden["effect"], hidden["kind"]).parameters
-    return {**hidden, "units": {one.name: one.unit(*units) for one in parameters}}
+    return {**hidden, "units": {parameter.name: parameter.unit(*units) for parameter in parameters}}
 
 
 def hidden_bench(
@@ -149,7 +154,7 @@ def hidden_bench(
             "--hide is for simulated benches: a real one hides enough", hint="add --dry-run, or --emulate"
         )
     experiment, run_seed = loaded.experiment, None
-    if any(one.startswith(SAME_AS) for one in hide):
+    if any(pattern.startswith(SAME_AS) for pattern in hide):
         if len(hide) > 1:
             raise RequestError(f"--hide {SAME_AS}RUN stands alone")
         run = find_run(hide[0].removeprefix(SAME_AS), results)
@@ -212,9 +217,9 @@ def candidates(scene: HidingScene, model: Model, *, tared: bool) -> list[tuple[E
     """Return every installed effect at every site that scene and model both have, and at which it can do something."""
     ours, theirs = list(scene.places), list(model.places)
     same_order = _outputs(ours) == _outputs(theirs)
-    found = []
+    options = []
     for site in theirs:
-        twin = next((one for one in ours if (one.name, one.kind) == (site.name, site.kind)), None)
+        twin = next((other for other in ours if (other.name, other.kind) == (site.name, site.kind)), None)
         if twin is None:
             continue
         for effect in effects():
@@ -228,8 +233,8 @@ def candidates(scene: HidingScene, model: Model, *, tared: bool) -> list[tuple[E
                 continue  # a bench goes step by step: it would hide the slope of what it cannot know yet
             if effect.id == "drift" and not tared:
                 continue  # it runs for as long as the run: without a tare it would be a step between trials
-            found.append((effect, site))
-    return found
+            options.append((effect, site))
+    return options
 
 
 class Draw:
@@ -241,15 +246,15 @@ class Draw:
     def __init__(self, effect: Effect, scale: Scale, rng: np.random.Generator) -> None:
         self.effect = effect
         self._scale = scale
-        self._start = int(rng.integers(max(len(one.starts) for one in effect.parameters)))
+        self._start = int(rng.integers(max(len(parameter.starts) for parameter in effect.parameters)))
         spread = math.log(_SHAPE_SPREAD)
         self._shape = [math.exp(rng.uniform(-spread, spread)) for _ in effect.parameters]
 
     def values(self, factor: float) -> dict[str, float]:
         """Return values of a strength; 1 is where a search for the effect would start."""
         return {
-            one.name: self._value(one, shape, factor)
-            for one, shape in zip(self.effect.parameters, self._shape, strict=True)
+            parameter.name: self._value(parameter, shape, factor)
+            for parameter, shape in zip(self.effect.parameters, self._shape, strict=True)
         }
 
     def simpler(self, site: str, values: Mapping[str, float]) -> list[dict[str, Any]]:
@@ -257,30 +262,34 @@ class Draw:
 
         Stribeck friction at one speed is Coulomb friction. Two that contain each other are rivals to a diagnosis.
         """
-        found = []
+        options = []
         simpler = (
-            one for one in effects() if one.id in self.effect.contains and one.kind == self.effect.kind
+            effect
+            for effect in effects()
+            if effect.id in self.effect.contains and effect.kind == self.effect.kind
         )
         for simple in simpler:
             if self.effect.id not in simple.contains:
-                own = {one.name: one.start_values(self._scale)[0] for one in simple.parameters}
-                found.append(
+                own = {
+                    parameter.name: parameter.start_values(self._scale)[0] for parameter in simple.parameters
+                }
+                options.append(
                     _entry(simple, site, {**own, **{key: values[key] for key in own if key in values}})
                 )
-        return found
+        return options
 
-    def _value(self, one: EffectParameter, shape: float, factor: float) -> float:
-        starts = one.start_values(self._scale)
+    def _value(self, parameter: EffectParameter, shape: float, factor: float) -> float:
+        starts = parameter.start_values(self._scale)
         value = starts[self._start % len(starts)]
-        if one.held:
+        if parameter.held:
             return value
-        if one.neutral is None:
+        if parameter.neutral is None:
             value *= shape
-        elif math.isinf(one.neutral):  # a level: the nearer to zero, the stronger
+        elif math.isinf(parameter.neutral):  # a level: the nearer to zero, the stronger
             value /= factor
         else:
             value *= factor
-        low, high = one.bounds(self._scale)
+        low, high = parameter.bounds(self._scale)
         return float(min(max(value, low), high))
 
 
@@ -290,12 +299,12 @@ def _of_size(size: float, draw: Draw, site: str, rehearsal: Rehearsal) -> dict[s
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         hidden = _entry(draw.effect, site, draw.values(math.exp(middle)))
-        found = rehearsal.size(hidden)
-        if size / _CLOSE <= found <= size * _CLOSE:
+        case_size = rehearsal.size(hidden)
+        if size / _CLOSE <= case_size <= size * _CLOSE:
             left = rehearsal.recalibrated_size(hidden)
-            told = [rehearsal.apart(hidden, one) for one in draw.simpler(site, hidden["values"])]
-            return hidden if min([left, *told]) >= _SMALLEST / 2 and left <= 2 * size else None
-        low, high = (low, middle) if found > size else (middle, high)
+            messages = [rehearsal.apart(hidden, values) for values in draw.simpler(site, hidden["values"])]
+            return hidden if min([left, *messages]) >= _SMALLEST / 2 and left <= 2 * size else None
+        low, high = (low, middle) if case_size > size else (middle, high)
     return None
 
 
@@ -347,7 +356,7 @@ def _parameter(text: str, scene: HidingScene, model: Model | None) -> dict[str, 
             f"--hide {text}: this scene has no parameter {name!r}",
             hint=suggest(name, known, kind="parameters"),
         )
-    units = {} if model is None else {one.name: one.unit for one in model.parameters}
+    units = {} if model is None else {parameter.name: parameter.unit for parameter in model.parameters}
     return {
         "effect": name, "site": name, "kind": PARAMETER, "values": _values(text, text),
         "units": {name: units.get(name, "1")},

@@ -52,19 +52,21 @@ def diagnose_case(name: str, files: Files, seed: int) -> dict[str, Any]:
         return {**_told(printed, made, name), "processor_s": processor_s, "programme": fingerprint()}
 
 
-def shrink_case(name: str, files: Files, model: bytes, said: Mapping[str, Any], seed: int) -> dict[str, Any]:
+def shrink_case(
+    name: str, files: Files, model: bytes, answers: Mapping[str, Any], seed: int
+) -> dict[str, Any]:
     """Return the share of the excess that the announced causes remove from fresh trials; see `shown`."""
     with TemporaryDirectory(prefix="labrun-check-") as made:
         folder = Path(made)
         _unpack({**files, _MODEL: model}, folder)
         try:
-            found = shown(folder, said, seed)
+            outcome = shown(folder, answers, seed)
         except Exception as error:  # a corrected model that fails on other trials is a result too
-            found = {"share": None, "counted": False, "error": f"{type(error).__name__}: {error}"}
-        return _told(found, made, name)
+            outcome = {"share": None, "counted": False, "error": f"{type(error).__name__}: {error}"}
+        return _told(outcome, made, name)
 
 
-def shown(folder: Path, said: Mapping[str, Any], seed: int) -> dict[str, Any]:
+def shown(folder: Path, answers: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """Simulate the recalibrated and the corrected model on fresh trials; return the share of the excess removed.
 
     Parameters are what the diagnosis found; only initial states are fitted, where the model leaves them free or
@@ -74,7 +76,7 @@ def shown(folder: Path, said: Mapping[str, Any], seed: int) -> dict[str, Any]:
     ----------
     folder
         A recording with repeats, with the case's ``model.toml`` beside it.
-    said
+    answers
         The diagnosis.
     seed
         Of the noise that the smallest gap worth counting is told from.
@@ -94,11 +96,11 @@ def shown(folder: Path, said: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """
     model = load_model(folder / _MODEL)
     recalibrated = model.with_values(
-        {name: one["recalibrated"] for name, one in said["recalibration"].items()}
+        {name: parameter["recalibrated"] for name, parameter in answers["recalibration"].items()}
     )
     rng = np.random.default_rng(seed)
     (before, after), floor = fresh_excess(
-        [recalibrated, corrected(model, said)], load_dataset(folder, model), rng
+        [recalibrated, corrected(model, answers)], load_dataset(folder, model), rng
     )
     if before.total <= 0:
         return {"share": 0.0, "counted": False, "recalibrated": 0.0, "after": after.gap, "floor": floor}
@@ -111,9 +113,9 @@ def shown(folder: Path, said: Mapping[str, Any], seed: int) -> dict[str, Any]:
     }
 
 
-def corrected(model: Model, said: Mapping[str, Any]) -> Model:
+def corrected(model: Model, answers: Mapping[str, Any]) -> Model:
     """Return the model with the parameters and the effects that a diagnosis gives it."""
-    return model.with_values(said["corrected"]).with_effects(effects_of(said))
+    return model.with_values(answers["corrected"]).with_effects(effects_of(answers))
 
 
 @cache
@@ -129,8 +131,8 @@ def fingerprint() -> str:
 
 def _diagnosed(folder: Path, seed: int) -> dict[str, Any]:
     model = load_model(folder / _MODEL)
-    found = diagnose_dataset(load_dataset(folder, model), model, Options(places=False, seed=seed))
-    return found.to_json()
+    dataset = diagnose_dataset(load_dataset(folder, model), model, Options(places=False, seed=seed))
+    return dataset.to_json()
 
 
 def _unpack(files: Files, folder: Path) -> None:
@@ -138,8 +140,8 @@ def _unpack(files: Files, folder: Path) -> None:
         (folder / Path(name).name).write_bytes(content)
 
 
-def _told(found: Mapping[str, Any], made: str, name: str) -> dict[str, Any]:
+def _told(outcome: Mapping[str, Any], made: str, name: str) -> dict[str, Any]:
     """Return it JSON-ready, with the case in place of the folder that is gone by then."""
-    text = json.dumps(finite(found), default=str)
-    told: dict[str, Any] = json.loads(text.replace(f"{made}/", f"{name}/").replace(made, name))
-    return told
+    text = json.dumps(finite(outcome), default=str)
+    loads: dict[str, Any] = json.loads(text.replace(f"{made}/", f"{name}/").replace(made, name))
+    return loads

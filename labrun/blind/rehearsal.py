@@ -57,7 +57,7 @@ def concealed(
     scene = _named_scene(experiment)
     settings: dict[str, Any] = {
         **scene.settings,
-        "hide": [{key: one[key] for key in _KEYS} for one in hidden if one["kind"] != PARAMETER],
+        "hide": [{key: effect[key] for key in _KEYS} for effect in hidden if effect["kind"] != PARAMETER],
         "as_modelled": True,
     }
     if noise is not None:
@@ -68,7 +68,10 @@ def concealed(
             **own, **{name: (1 + own.get(name, 0.0)) * (1 + error) - 1 for name, error in parameters.items()}
         }  # fmt: skip
     true = {
-        name: value for one in hidden if one["kind"] == PARAMETER for name, value in one["values"].items()
+        name: value
+        for effect in hidden
+        if effect["kind"] == PARAMETER
+        for name, value in effect["values"].items()
     }
     if true:
         settings["true_parameters"] = {**settings.get("true_parameters", {}), **true}
@@ -83,8 +86,8 @@ def hiding_scene(experiment: Experiment) -> HidingScene:
     scene: Any = rig.scene
     if not (hasattr(scene, "places") and hasattr(scene, "scale")):
         raise RequestError(f"scene {name!r} cannot hide effects: it names no sites")
-    found: HidingScene = scene
-    return found
+    hiding: HidingScene = scene
+    return hiding
 
 
 def _named_scene(experiment: Experiment) -> SceneTable:
@@ -155,7 +158,11 @@ class Rehearsal:
         self._moves = self._spread > 0
         self._noise = self._scatter()
         known = scene.truth().get("parameters", {})
-        self._loose = [one.name for one in model.parameters if one.tolerance != 0 and known.get(one.name)]
+        self._loose = [
+            parameter.name
+            for parameter in model.parameters
+            if parameter.tolerance != 0 and known.get(parameter.name)
+        ]
         self._free_beginning = any(model.initial.get(state, "free") == "free" for state in model.states)
         self._slopes = self._sensitivities(self._plain, dict.fromkeys(self._loose, 0.0))
 
@@ -172,7 +179,7 @@ class Rehearsal:
         if np.any(np.abs(np.concatenate(signals)) > self._bounds):
             return math.inf  # the run would end there
         change = _difference(signals, self._plain)
-        if not all(np.isfinite(one).all() for one in change):
+        if not all(np.isfinite(outputs).all() for outputs in change):
             return math.inf
         sizes = np.array([np.sqrt(np.mean(column**2)) for column in self._stacked(change)])
         if np.any(sizes[self._moves] > _SWAMPED * self._spread[self._moves]) or self._harms(hidden):
@@ -183,7 +190,7 @@ class Rehearsal:
         """Tell whether the carriage's way back, which may be faster than the trial, would see much more than it."""
         changed = concealed(self._experiment, [hidden], noise=0.0)
         towed = [motion for motion in self._motions if motion[1].travel is not None]
-        back = [one for motion in towed if len(one := self._way_back(changed, *motion))]
+        back = [way_back for motion in towed if len(way_back := self._way_back(changed, *motion))]
         if not back:
             return False
         most = np.max(np.abs(np.concatenate(back)), axis=0)
@@ -202,14 +209,14 @@ class Rehearsal:
         for share in _BEGINNINGS:
             seen = self._beginning(share)
             white = self._whitened(_difference(signals, plain))
-            found = np.linalg.lstsq(slopes[seen], white[seen], rcond=1e-8)[0]
-            steps = np.clip(_STEP * found[: len(errors)], -_FARTHEST, _FARTHEST)
+            correction = np.linalg.lstsq(slopes[seen], white[seen], rcond=1e-8)[0]
+            steps = np.clip(_STEP * correction[: len(errors)], -_FARTHEST, _FARTHEST)
             errors = {
                 name: (1 + error) * (1 + step) - 1
                 for (name, error), step in zip(errors.items(), steps.tolist(), strict=True)
             }
             if self._free_beginning:
-                later -= found[len(errors) :: 2]
+                later -= correction[len(errors) :: 2]
             try:
                 plain = _later(self._signals_with([], errors), later)
                 slopes = self._sensitivities(plain, errors, later)
@@ -236,7 +243,7 @@ class Rehearsal:
 
     def _beginning(self, share: float) -> NDArray[np.bool_]:
         """Return which of the whitened numbers belong to the first part of a trial."""
-        counts = [len(one) for one in self._plain]
+        counts = [len(outputs) for outputs in self._plain]
         first = np.concatenate([np.arange(count) < share * count for count in counts])
         return np.tile(first, len(self._signals))
 
@@ -244,7 +251,7 @@ class Rehearsal:
         """Return the scatter of each signal between two trials of the same condition."""
         noisy = concealed(self._experiment, [], noise=1.0)
         pairs = [self._trials(noisy, *motion, 2) for motion in self._motions]
-        between = self._stacked([one - other for one, other in pairs])
+        between = self._stacked([first - other for first, other in pairs])
         noise = np.array([np.sqrt(np.mean(column**2) / 2) for column in between])
         least: FloatArray = np.maximum(np.maximum(noise, _QUIET * self._spread), 1e-12)
         return least
@@ -259,13 +266,13 @@ class Rehearsal:
             changed = self._signals_with([], more)
             changed = changed if later is None else _later(changed, later)
             columns.append(self._whitened(_difference(changed, plain)))
-        for index, one in enumerate(plain if self._free_beginning else ()):
-            for moved in (np.gradient(one, axis=0), one):
+        for index, outputs in enumerate(plain if self._free_beginning else ()):
+            for moved in (np.gradient(outputs, axis=0), outputs):
                 alone = [np.zeros_like(other) for other in plain]
                 alone[index] = moved
                 columns.append(self._whitened(alone))
-        found: FloatArray = np.array(columns).reshape(-1, self._whitened(plain).size).T
-        return found
+        sensitivities: FloatArray = np.array(columns).reshape(-1, self._whitened(plain).size).T
+        return sensitivities
 
     def _stacked(self, signals: Sequence[FloatArray]) -> FloatArray:
         """Return the conditions one behind the other, shape (signals, samples)."""
@@ -291,13 +298,13 @@ class Rehearsal:
             assert scene is not None  # noqa: S101  (`hiding_scene` would have refused)
             scene.arrange(condition)
             scene.observe(self._signals, np.zeros(1))
-            found = [self._trial(rig, scene, motion)]
-            while len(found) < repeats:
+            trials = [self._trial(rig, scene, motion)]
+            while len(trials) < repeats:
                 if experiment.by_hand is not None:  # what a person mounts anew for every trial is not worn
                     self._back(rig, scene, motion)
-                    getattr(scene, "mount", lambda _: None)(len(found) + 1)
-                found.append(self._trial(rig, scene, motion))
-            return found
+                    getattr(scene, "mount", lambda _: None)(len(trials) + 1)
+                trials.append(self._trial(rig, scene, motion))
+            return trials
 
     def _way_back(
         self, experiment: Experiment, condition: Mapping[str, Value], motion: TrialMotion
@@ -331,14 +338,16 @@ class Rehearsal:
         start_s, rate_hz = rig.clock.now(), min(_RATE_HZ, _MOST_SAMPLES / duration_s)
         times_s = np.arange(0.0, duration_s, 1.0 / rate_hz)
         pieces = np.split(times_s, np.searchsorted(times_s, np.arange(_READ_S, duration_s, _READ_S)))
-        found = np.concatenate([scene.observe(self._signals, start_s + one) for one in pieces])
+        observed = np.concatenate([scene.observe(self._signals, start_s + piece) for piece in pieces])
         rig.clock.sleep(duration_s)
-        return found
+        return observed
 
     def _trial(self, rig: Rig, scene: Scene, motion: TrialMotion) -> FloatArray:
         trajectory = motion.trajectory
         first = dict(zip(trajectory.joints, trajectory.angle_rad[0], strict=True))
-        here = {joint: angle for one in rig.actuators.values() for joint, angle in one.pose().items()}
+        here = {
+            joint: angle for actuator in rig.actuators.values() for joint, angle in actuator.pose().items()
+        }
         move = smooth_move(here, first, _MOVE_RAD_S)
         if move is not None:
             _follow(rig, move)
@@ -364,8 +373,8 @@ def _is_free(motion: TrialMotion) -> bool:
 
 def _bound(rig: Rig, unit: str) -> float:
     """Return the greatest size of a signal of a unit that a device lets pass."""
-    bounds = ({"N": one.force_n, "N m": one.torque_n_m}.get(unit) for one in rig.limits.values())
-    return max((one for one in bounds if one is not None), default=math.inf)
+    bounds = ({"N": limit.force_n, "N m": limit.torque_n_m}.get(unit) for limit in rig.limits.values())
+    return max((bound for bound in bounds if bound is not None), default=math.inf)
 
 
 def _difference(signals: Sequence[FloatArray], plain: Sequence[FloatArray]) -> list[FloatArray]:
@@ -374,11 +383,11 @@ def _difference(signals: Sequence[FloatArray], plain: Sequence[FloatArray]) -> l
 
 def _later(conditions: Sequence[FloatArray], samples: FloatArray) -> list[FloatArray]:
     """Return the signals of each condition so many samples later; beyond their ends they stay as they are."""
-    found = []
+    later = []
     for signals, by in zip(conditions, samples, strict=True):
         count = np.arange(len(signals))
-        found.append(np.column_stack([np.interp(count - by, count, column) for column in signals.T]))
-    return found
+        later.append(np.column_stack([np.interp(count - by, count, column) for column in signals.T]))
+    return later
 
 
 def _left(white: FloatArray, slopes: FloatArray) -> FloatArray:

@@ -60,14 +60,14 @@ class CheckedRobots:
 
     def named(self, least: float = PLAIN_GAP, most: float = float("inf")) -> tuple[int, int]:
         """Return how many of the hidden effects with a gap in between were named, and how many there are."""
-        there = [one for one in self.joints if one.hidden and least <= one.gap < most]
-        return sum(one.right for one in there), len(there)
+        there = [joint for joint in self.joints if joint.hidden and least <= joint.gap < most]
+        return sum(joint.right for joint in there), len(there)
 
     @property
     def false_alarms(self) -> tuple[int, int]:
         """Joints without anything hidden at which a cause was announced, and how many such joints there are."""
-        there = [one for one in self.joints if not one.hidden]
-        return sum(not one.right for one in there), len(there)
+        there = [joint for joint in self.joints if not joint.hidden]
+        return sum(not joint.right for joint in there), len(there)
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap check --only robots --json`` prints."""
@@ -81,10 +81,10 @@ class CheckedRobots:
             "whole": [{"case": case, "hidden": hidden, "named": named} for case, hidden, named in self.whole],
             "joints": [
                 {
-                    "case": one.case, "joint": one.joint, "hidden": one.hidden or None, "gap": one.gap,
-                    "said": [list(names) for names in one.said], "right": one.right,
+                    "case": joint.case, "joint": joint.joint, "hidden": joint.hidden or None, "gap": joint.gap,
+                    "said": [list(names) for names in joint.said], "right": joint.right,
                 }
-                for one in self.joints
+                for joint in self.joints
             ],
             "seconds": dict(self.seconds),
         }  # fmt: skip
@@ -100,13 +100,13 @@ class CheckedRobots:
             f"joint and effect named where the gap is 3 and more: {right} of {there}",
             f"                             where it is less: {weak} of {weak_there}",
             f"causes at joints without: {wrong} of {plain}",
-            f"tilted bases and payloads named: {sum(one[2] for one in self.whole)} of {len(self.whole)}",
+            f"tilted bases and payloads named: {sum(judged[2] for judged in self.whole)} of {len(self.whole)}",
         ]
-        for one in self.joints:
-            if not one.right:
-                said = "; ".join(" or ".join(names) for names in one.said) or "nothing"
-                hidden = f"{one.hidden}, gap {one.gap:.2g}" if one.hidden else "nothing"
-                lines.append(f"  {one.case} {one.joint}: hidden {hidden}; said {said}")
+        for joint in self.joints:
+            if not joint.right:
+                message = "; ".join(" or ".join(names) for names in joint.said) or "nothing"
+                hidden = f"{joint.hidden}, gap {joint.gap:.2g}" if joint.hidden else "nothing"
+                lines.append(f"  {joint.case} {joint.joint}: hidden {hidden}; said {message}")
         return "\n".join([*lines, str(self.folder)])
 
 
@@ -134,16 +134,16 @@ def check_robots(
         prepare(folder, cases=cases, seed=seed, first=1, only=ROBOT, workers=1, note=note)
         printed = folder.ask({"cases": cases, "seed": seed, "first": 1, "only": ROBOT})
         print(f"seal {seal_of(folder.path)}  ({cases} robots, in {folder.path})", file=sys.stderr, flush=True)
-        said = {name: _said(folder, name, seed, workers or cores(), note) for name in folder.cases()}
+        message = {name: _said(folder, name, seed, workers or cores(), note) for name in folder.cases()}
     note("opening the seal")
     joints: list[JudgedJoint] = []
     whole: list[tuple[str, str, bool]] = []
     for answer in open_answers(folder.path, printed):
-        joints += _judged(answer, said[answer["case"]]["joints"], whole)
-    seconds = {name: float(one["seconds"]) for name, one in said.items()}
-    found = CheckedRobots(seed, printed, folder.path, tuple(joints), tuple(whole), seconds)
-    folder.keep_scores(found.to_json())
-    return found
+        joints += _judged(answer, message[answer["case"]]["joints"], whole)
+    seconds = {name: float(timing["seconds"]) for name, timing in message.items()}
+    robots = CheckedRobots(seed, printed, folder.path, tuple(joints), tuple(whole), seconds)
+    folder.keep_scores(robots.to_json())
+    return robots
 
 
 def _said(folder: CheckFolder, name: str, seed: int, workers: int, note: Note) -> Mapping[str, Any]:
@@ -151,26 +151,26 @@ def _said(folder: CheckFolder, name: str, seed: int, workers: int, note: Note) -
     kept = folder.reply(name, fingerprint())
     if kept is not None:
         return kept
-    begun = time.perf_counter()
+    counter = time.perf_counter()
     with tempfile.TemporaryDirectory() as there:
         for file, content in folder.seen(name).items():
             (Path(there) / file).write_bytes(content)
         robot, model = read_robot(Path(there) / "robot.xml"), load_model(Path(there) / "robot.xml")
         dataset = load_dataset(Path(there), model)
         options = Options(seed=case_seed(seed, name), workers=workers)
-        found = diagnose_robot(robot, model, dataset, options, note=lambda text: note(f"{name}: {text}"))
-    clock = [[found.clock]] if found.clock else []
+        diagnosis = diagnose_robot(robot, model, dataset, options, note=lambda text: note(f"{name}: {text}"))
+    clock = [[diagnosis.clock]] if diagnosis.clock else []
     joints = {
-        one.joint.name: [
+        joint.joint.name: [
             *clock,
-            *_sets(one.diagnosis.to_json()),
-            *([f"{name} at {one.joint.name}"] for name in one.moved),
+            *_sets(joint.diagnosis.to_json()),
+            *([f"{name} at {joint.joint.name}"] for name in joint.moved),
         ]
-        for one in found.joints
+        for joint in diagnosis.joints
     }
-    told = {"programme": fingerprint(), "joints": joints, "seconds": time.perf_counter() - begun}
-    folder.keep_reply(name, told)
-    return told
+    message = {"programme": fingerprint(), "joints": joints, "seconds": time.perf_counter() - counter}
+    folder.keep_reply(name, message)
+    return message
 
 
 def _sets(printed: Mapping[str, Any]) -> list[list[str]]:
@@ -183,27 +183,31 @@ def _sets(printed: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _judged(
-    answer: Mapping[str, Any], said: Mapping[str, Sequence[Sequence[str]]], whole: list[tuple[str, str, bool]]
+    answer: Mapping[str, Any],
+    answers: Mapping[str, Sequence[Sequence[str]]],
+    whole: list[tuple[str, str, bool]],
 ) -> list[JudgedJoint]:
-    hidden = {one["joint"]: one for one in answer["hidden"]}
+    hidden = {effect["joint"]: effect for effect in answer["hidden"]}
     of_all = {_WHOLE[name] for name in answer["whole"]}
-    found = []
-    for joint, causes in said.items():
-        told = tuple(tuple(names) for names in causes)
+    judged_joints = []
+    for joint, causes in answers.items():
+        joint_names = tuple(tuple(names) for names in causes)
         there = hidden.get(joint)
         if there is None:
             # a tilted base and a load are there at every joint
-            right = all(_effects(names) & of_all for names in told)
-            found.append(JudgedJoint(answer["case"], joint, "", 0.0, told, right))
+            right = all(_effects(names) & of_all for names in joint_names)
+            judged_joints.append(JudgedJoint(answer["case"], joint, "", 0.0, joint_names, right))
             continue
         wanted = {there["effect"], f"{joint}_kp"} if there["effect"] == "drive-gain" else {there["effect"]}
-        right = any(len(names) <= _MOST_NAMED and _effects(names) & wanted for names in told)
-        found.append(JudgedJoint(answer["case"], joint, there["effect"], there["gap"], told, right))
+        right = any(len(names) <= _MOST_NAMED and _effects(names) & wanted for names in joint_names)
+        judged_joints.append(
+            JudgedJoint(answer["case"], joint, there["effect"], there["gap"], joint_names, right)
+        )
     for effect in sorted(of_all):
-        named = any(effect in _effects(names) for causes in said.values() for names in causes)
+        named = any(effect in _effects(names) for causes in answers.values() for names in causes)
         whole.append((answer["case"], effect, named))
-    return found
+    return judged_joints
 
 
 def _effects(names: Sequence[str]) -> set[str]:
-    return {one.partition(" at ")[0] for one in names}
+    return {name.partition(" at ")[0] for name in names}

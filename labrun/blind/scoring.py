@@ -22,9 +22,9 @@ class Share:
     of: int
 
     @classmethod
-    def among(cls, found: Iterable[bool]) -> "Share":
+    def among(cls, hits: Iterable[bool]) -> "Share":
         """Count what is true."""
-        every = list(found)
+        every = list(hits)
         return cls(sum(every), len(every))
 
     @property
@@ -83,18 +83,27 @@ class Reliability:
     @property
     def error(self) -> float | None:
         """Expected calibration error: |stated - right|, weighed by how often (Naeini et al., AAAI 2015)."""
-        return self._weighed(abs(one.stated - one.right.hits / one.right.of) for one in self.bins)
+        return self._weighed(
+            abs(calibration_bin.stated - calibration_bin.right.hits / calibration_bin.right.of)
+            for calibration_bin in self.bins
+        )
 
     @property
     def error_by_chance(self) -> float | None:
         """Mean of that error if every stated confidence were exactly true: few cases cannot show a smaller one."""
-        return self._weighed(one.by_chance for one in self.bins)
+        return self._weighed(calibration_bin.by_chance for calibration_bin in self.bins)
 
     def _weighed(self, errors: Iterable[float]) -> float | None:
-        total = sum(one.right.of for one in self.bins)
+        total = sum(calibration_bin.right.of for calibration_bin in self.bins)
         if not total:
             return None
-        return sum(one.right.of * error for one, error in zip(self.bins, errors, strict=True)) / total
+        return (
+            sum(
+                calibration_bin.right.of * error
+                for calibration_bin, error in zip(self.bins, errors, strict=True)
+            )
+            / total
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return it JSON-ready."""
@@ -102,8 +111,13 @@ class Reliability:
             "expected_calibration_error": self.error,
             "by_chance": self.error_by_chance,
             "table": [
-                {"from": one.low, "to": one.high, "stated": one.stated, "right": one.right.to_json()}
-                for one in self.bins
+                {
+                    "from": calibration_bin.low,
+                    "to": calibration_bin.high,
+                    "stated": calibration_bin.stated,
+                    "right": calibration_bin.right.to_json(),
+                }
+                for calibration_bin in self.bins
             ],
         }
 
@@ -325,13 +339,13 @@ def reliability(stated: Sequence[tuple[float, bool]]) -> Reliability:
     return Reliability(
         tuple(
             Bin(
-                place / _TENTHS,
-                (place + 1) / _TENTHS,
+                index / _TENTHS,
+                (index + 1) / _TENTHS,
                 sum(confidence for confidence, _ in members) / len(members),
                 Share.among(right for _, right in members),
                 _by_chance([confidence for confidence, _ in members]),
             )
-            for place, members in enumerate(sorted_in)
+            for index, members in enumerate(sorted_in)
             if members
         )
     )

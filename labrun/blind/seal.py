@@ -82,7 +82,7 @@ class Seal:
             raise _broken(f"its answer cannot be decoded ({error})") from None
         if _sha256(text) != self.sha256:
             raise _broken("its answer is not the one that its hash was made of")
-        return [dict(one) for one in hidden]
+        return [dict(effect) for effect in hidden]
 
     def opened(self) -> "Seal":
         """Return the seal with a note that it is opened now."""
@@ -239,8 +239,13 @@ class Revealed:
         return {
             "run": str(self.run),
             "hidden": [
-                {"effect": one.effect, "site": one.site, "kind": one.kind, "values": dict(one.values)}
-                for one in self.hidden
+                {
+                    "effect": effect.effect,
+                    "site": effect.site,
+                    "kind": effect.kind,
+                    "values": dict(effect.values),
+                }
+                for effect in self.hidden
             ],
             "sealed_at": self.sealed_at,
             "sha256": self.sha256,
@@ -272,12 +277,12 @@ class Compared:
     @property
     def sizes(self) -> list[str]:
         """Tell whether the hidden values of what was named lie inside the intervals that were stated."""
-        found = []
-        for one in self.revealed.hidden:
+        sizes = []
+        for effect in self.revealed.hidden:
             for cause in self.stored.get("causes", []):
-                if (cause["effect"], cause["site"]) == (one.effect, one.site):
-                    found += _inside(one, cause)
-        return found
+                if (cause["effect"], cause["site"]) == (effect.effect, effect.site):
+                    sizes += _inside(effect, cause)
+        return sizes
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap reveal --json`` prints."""
@@ -311,7 +316,7 @@ def reveal(run: Path) -> Revealed:
             f"{run} is no run folder: it has no {PROVENANCE}", hint="labrun list shows the runs there are"
         )
     seal = read_seal(folder, RunFolder(folder).provenance)
-    hidden = tuple(_hidden(one) for one in seal.hidden())
+    hidden = tuple(_hidden(effect) for effect in seal.hidden())
     write_seal(folder, seal.opened())
     return Revealed(folder, hidden, seal.sealed_at, seal.sha256, seal.opened_at)
 
@@ -347,24 +352,24 @@ def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
     return "right in part" if named or truth & as_well else "wrong"
 
 
-def _too_small(one: Hidden, candidates: Sequence[Mapping[str, Any]]) -> bool:
+def _too_small(hidden: Hidden, candidates: Sequence[Mapping[str, Any]]) -> bool:
     """Tell whether a diagnosis says that it could not have seen an effect of these sizes."""
     for candidate in candidates:
-        if (candidate["effect"], candidate["site"]) != (one.effect, one.site):
+        if (candidate["effect"], candidate["site"]) != (hidden.effect, hidden.site):
             continue
         bounds = [
-            (one.values[name], *bound["ci95"])
+            (hidden.values[name], *bound["ci95"])
             for name, bound in candidate["upper_bound"].items()
-            if name in one.values
+            if name in hidden.values
         ]
         room = [low is not None and high is not None and low <= value <= high for value, low, high in bounds]
         return candidate["verdict"] == "not-visible" or (bool(room) and all(room))
     return False
 
 
-def _hidden(one: Mapping[str, Any]) -> Hidden:
-    values = {str(name): float(value) for name, value in one["values"].items()}
-    return Hidden(one["effect"], one["site"], one["kind"], values, dict(one.get("units", {})))
+def _hidden(effect: Mapping[str, Any]) -> Hidden:
+    values = {str(name): float(value) for name, value in effect["values"].items()}
+    return Hidden(effect["effect"], effect["site"], effect["kind"], values, dict(effect.get("units", {})))
 
 
 def _inside(hidden: Hidden, cause: Mapping[str, Any]) -> list[str]:

@@ -145,17 +145,17 @@ def channels_of(
     experiment: Experiment, loops: Mapping[str, LoopTable], feedbacks: Mapping[str, Sequence[Feedback]]
 ) -> tuple[Channel, ...]:
     """Return the channels of the loops' stream: those of each loop, and the timing of the steps."""
-    found = []
+    channels = []
     for name, table in loops.items():
         shape = table.shape
-        of_feedback = [one.unit for one in feedbacks[name]]
+        of_feedback = [feedback.unit for feedback in feedbacks[name]]
         if len(of_feedback) == 1:  # of a vector, too
             of_feedback *= len(shape.components)
         of_drives = [experiment.units.get(variable, "") for variable in table.drives]
         units = [*3 * of_feedback, *2 * of_drives, *shape.more.values()]
-        found += [Channel(c, unit or "1") for c, unit in zip(shape.channels(name), units, strict=True)]
+        channels += [Channel(c, unit or "1") for c, unit in zip(shape.channels(name), units, strict=True)]
     return (
-        *found,
+        *channels,
         *(Channel(name, unit) for name, unit in zip(TIMING_CHANNELS, ("s", "s", "s", "1"), strict=True)),
     )
 
@@ -254,12 +254,12 @@ class ClosedLoopRecorder:
         }
         units = {f"{name}.{c.name}": c.unit for name, sensor in rig.sensors.items() for c in sensor.channels}
         self._feedbacks: dict[str, list[Feedback]] = {
-            name: [make_feedback(name, one, units) for one in table.feedbacks]
+            name: [make_feedback(name, feedback, units) for feedback in table.feedbacks]
             for name, table in self._track.loops.items()
         }
         self._simulated = isinstance(rig.clock, SimulatedClock)
         for name, feedbacks in self._feedbacks.items():
-            missing = [c for one in feedbacks for c in one.channels if c not in self._columns]
+            missing = [c for feedback in feedbacks for c in feedback.channels if c not in self._columns]
             if missing:
                 raise SpecError(f"feedback of loop {name}: the rig measures no {', '.join(missing)}")
         self.channels: tuple[Channel, ...] = channels_of(experiment, self._track.loops, self._feedbacks)
@@ -408,14 +408,14 @@ class ClosedLoopRecorder:
         )
 
     def _history(self, tare: Mapping[str, float], start_s: float, cycle_s: float | None) -> History:
-        feedbacks = [one for items in self._feedbacks.values() for one in items]
+        feedbacks = [feedback for items in self._feedbacks.values() for feedback in items]
         watched = [  # channels that controllers want to see with every step
             channel
             for table in self._track.loops.values()
             for controller in table.controllers.values()
             for channel in watched_by(controller)
         ]
-        needed = dict.fromkeys([*(c for one in feedbacks for c in one.channels), *watched])
+        needed = dict.fromkeys([*(c for feedback in feedbacks for c in feedback.channels), *watched])
         keep_s = max(feedback.memory_s(cycle_s) for feedback in feedbacks)
         columns = {channel: self._columns[channel] for channel in needed}
         return History(columns, tare, start_s, keep_s)

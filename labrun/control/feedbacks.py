@@ -65,11 +65,11 @@ class ChannelFeedback(ABC):
 
     def __call__(self, history: History, period_s: float | None) -> float:
         """Return the number now, in the unit of `unit`."""
-        found = [
+        averages = [
             factor * mean_over(*history.recent(channel), self.memory_s(period_s))
             for channel, factor in zip(self.channels, self._factors, strict=False)
         ]
-        return found[0] if len(found) == 1 else math.hypot(*found)
+        return averages[0] if len(averages) == 1 else math.hypot(*averages)
 
     @property
     def factor(self) -> float:
@@ -221,7 +221,7 @@ class OrientationFeedback:
         self.unit = "1"
         missing = [channel for channel in self.channels if channel not in units]
         if missing:
-            bodies = [one.removesuffix("_qw") for one in units if one.endswith("_qw")]
+            bodies = [unit.removesuffix("_qw") for unit in units if unit.endswith("_qw")]
             raise SpecError(
                 f"nothing tells the orientation of {body}: there is no channel {missing[0]}",
                 hint=f"body is the tracker and one of its bodies; {suggest(body, bodies, kind='tracked bodies')}",

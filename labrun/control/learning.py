@@ -122,11 +122,11 @@ class InlineLearner(Learner):
 
     def newest(self, now_s: float) -> Network | None:
         """Train if the training before is over; return the weights that are due."""
-        found = None
+        newest = None
         if self._due and self._due[0][0] <= now_s:
             _, sample_s, network = self._due.popleft()
-            found = self._accepted(network)
-            if found is not None:
+            newest = self._accepted(network)
+            if newest is not None:
                 self.lag_s, self.training_s = now_s - sample_s, self._takes_s
                 self.trainings += 1
         if not self._due and self._waiting and self.alive:
@@ -134,7 +134,7 @@ class InlineLearner(Learner):
             self._waiting.clear()
             self._solver.add(np.array(inputs), np.array(outputs))
             self._due.append((now_s + self._takes_s, self._newest_s, self._solver.solved()))
-        return found
+        return newest
 
 
 class ProcessLearner(Learner):
@@ -307,9 +307,9 @@ def learn(name: str, task: LearnerTask) -> None:
         solver.add(rows[:, 1 : 1 + inputs], rows[:, 1 + inputs :])
         network = solver.solved()
         taken, trainings = given, trainings + 1
-        place = view.place(trainings)
-        place[_SLOT_HEAD:] = np.vstack([network.weights[0], network.biases[0]]).ravel()
-        place[0], place[1], place[2] = rows[-1, 0], time.perf_counter() - began_s, trainings
+        column = view.place(trainings)
+        column[_SLOT_HEAD:] = np.vstack([network.weights[0], network.biases[0]]).ravel()
+        column[0], column[1], column[2] = rows[-1, 0], time.perf_counter() - began_s, trainings
         view.all[_VERSION] = trainings
     with contextlib.suppress(BufferError):  # the process ends anyway
         view.close()

@@ -65,7 +65,7 @@ class Loop:
             name, self.in_charge, table.controllers[self.in_charge], condition, context
         )
         self._more = tuple(table.shape.more)
-        self.channels = tuple(channel for one in self.feedbacks for channel in one.channels)
+        self.channels = tuple(channel for feedback in self.feedbacks for channel in feedback.channels)
         """The channels that its feedback is made of."""
         self._seen = tuple(getattr(self.controller, "channels", ()))
 
@@ -107,7 +107,7 @@ class Loop:
             The controller asks for something that is no finite number.
         """
         reference = self.reference(time_s)
-        feedback = _flat([one(history, self._cycle_s) for one in self.feedbacks])
+        feedback = _flat([table(history, self._cycle_s) for table in self.feedbacks])
         here = tuple([drives[name] for name in self.variables])
         seen = {channel: history.newest(channel) for channel in self._seen}
         step = VectorStep(

@@ -44,16 +44,16 @@ def make_references(
     made = [make_reference(loop, table, condition) for table in tables]
     if len(tables) == 1 and getattr(registry.load(REFERENCES, tables[0].plugin), "several", False):
         several = cast("Callable[[float], Numbers]", made[0])
-        found = len(several(0.0))
+        size = len(several(0.0))
     else:
-        found = len(made)
+        size = len(made)
 
         def several(time_s: float) -> Numbers:
-            return tuple([float(one(time_s)) for one in made])
+            return tuple([float(reference(time_s)) for reference in made])
 
-    if found != count:
+    if size != count:
         raise SpecError(
-            f"loop {loop}: its feedback is {_numbers(count)}, its reference {_numbers(found)}; a reference for each "
+            f"loop {loop}: its feedback is {_numbers(count)}, its reference {_numbers(size)}; a reference for each "
             "number of the feedback was expected",
             hint="give as many references as the feedback has numbers, in the same order",
         )
@@ -101,12 +101,17 @@ class OneForEach:
 
     def update(self, step: VectorStep) -> Numbers:
         """Ask each of them."""
-        return tuple([float(one.update(_part(step, number))) for number, one in enumerate(self.controllers)])
+        return tuple(
+            [
+                float(controller.update(_part(step, number)))
+                for number, controller in enumerate(self.controllers)
+            ]
+        )
 
     def applied(self, drives: Numbers) -> None:
         """Tell each of them."""
-        for one, drive in zip(self.controllers, drives, strict=True):
-            one.applied(drive)
+        for controller, drive in zip(self.controllers, drives, strict=True):
+            controller.applied(drive)
 
 
 def _part(step: VectorStep, number: int) -> Step:

@@ -125,12 +125,12 @@ class NetworkController:
             newest = self.learning.take(step)
             if newest is not None:
                 self._use(newest)
-        values = [step.reference[place] for place in self.order]
-        found = self._map(values)
+        values = [step.reference[index] for index in self.order]
+        outputs = self._map(values)
         if self.nominal is not None:
             nominal = self.nominal(step.reference)
-            return tuple([nominal[i] + found[place] for i, place in enumerate(self.places)])
-        return tuple([found[place] for place in self.places])
+            return tuple([nominal[i] + outputs[location] for i, location in enumerate(self.places)])
+        return tuple([outputs[location] for location in self.places])
 
     def applied(self, drives: Numbers) -> None:
         """Take no note."""
@@ -188,7 +188,7 @@ class _Learning:
             drives = _at(self._recent, step.feedback_s)
             if self._nominal is not None:
                 drives = [a - b for a, b in zip(drives, self._nominal(step.feedback), strict=True)]
-            self.learner.give(step.feedback_s, [step.feedback[place] for place in self._order], drives)
+            self.learner.give(step.feedback_s, [step.feedback[index] for index in self._order], drives)
         self._steps += 1
         newest = self.learner.newest(step.time_s)
         if newest is not None:
@@ -223,8 +223,8 @@ def _at(recent: deque[tuple[float, tuple[float, ...]]], time_s: float) -> list[f
 @np.errstate(over="ignore", invalid="ignore")
 def _quick(network: Network) -> Any:
     """Return an affine network as sums of plain numbers: for four inputs far quicker than arrays."""
-    one = network.collapsed()
-    (weight,), (bias,) = one.weights, one.biases
+    collapsed = network.collapsed()
+    (weight,), (bias,) = collapsed.weights, collapsed.biases
     slope = weight.T * network.outputs.scale[:, None] / network.inputs.scale
     level = network.outputs.back(bias) - slope @ network.inputs.mean
     rows = [(float(c), *map(float, row)) for c, row in zip(level, slope, strict=True)]

@@ -81,13 +81,13 @@ def read_plant(path: Path, response: str | None = None) -> dict[str, Any]:
     """
     data = parsed(text_of(path, kind=SpecError, what="model file"), str(path), kind=SpecError)
     table, _ = response_table(data, f"model file {path}", response)
-    found = {key: table[key] for key in _KEYS if key in table}
+    plant = {key: table[key] for key in _KEYS if key in table}
     if (
-        "numerator" in found and "denominator" in found
+        "numerator" in plant and "denominator" in plant
     ):  # a fit may say both: the coefficients are the whole of it
-        found.pop("gain", None)
-        found.pop("lag_s", None)
-    return found
+        plant.pop("gain", None)
+        plant.pop("lag_s", None)
+    return plant
 
 
 def response_table(
@@ -102,7 +102,7 @@ def response_table(
     """
     if response is None and _is_model(data):
         return data, ()
-    tables = {key: one for key, one in data.items() if isinstance(one, dict) and _is_model(one)}
+    tables = {key: table for key, table in data.items() if isinstance(table, dict) and _is_model(table)}
     if not tables:
         raise SpecError(
             f"{file} has neither gain nor numerator: it is no fitted response",

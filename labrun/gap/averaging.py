@@ -42,19 +42,19 @@ def averaged(dataset: Dataset, model: Model) -> Dataset:
         groups.setdefault(condition_key(trial.condition), []).append(trial)
     rules = {model.initial.get(state, "free") for state in model.states}
     free, read = "free" in rules, "first" in rules
-    found: list[FitTrial] = []
+    averages: list[FitTrial] = []
     for group, trials in enumerate(groups.values()):
         alike = None if free or len(trials) == 1 else _on_one_time_base(trials)
         # where nothing is read from the first samples, one simulation predicts all, however each begins
         if alike is not None and (not read or _same_beginning(alike)):
-            found.append(_mean(alike, group))
+            averages.append(_mean(alike, group))
         else:
-            found.extend(replace(trial, group=group, members=(trial.outputs,)) for trial in trials)
+            averages.extend(replace(trial, group=group, members=(trial.outputs,)) for trial in trials)
     names = varying(trial.condition for trial in dataset.trials)
     labels = [
         condition_text(only(trials[0].condition, names)) or trials[0].label for trials in groups.values()
     ]
-    return replace(dataset, trials=tuple(found), conditions=tuple(labels))
+    return replace(dataset, trials=tuple(averages), conditions=tuple(labels))
 
 
 def without_crowding(data: Dataset) -> Dataset:
@@ -65,7 +65,8 @@ def without_crowding(data: Dataset) -> Dataset:
     what is kept already, in numbers of the condition, each in its range.
     """
     counts = [
-        sum(data.trials[one].count for one in data.of_group(group)) for group in range(len(data.conditions))
+        sum(data.trials[index].count for index in data.of_group(group))
+        for group in range(len(data.conditions))
     ]
     kept = [group for group, count in enumerate(counts) if count > 1]
     once = [group for group, count in enumerate(counts) if count == 1]
@@ -74,27 +75,34 @@ def without_crowding(data: Dataset) -> Dataset:
         return data
     places = _places([data.trials[data.of_group(group)[0]].condition for group in range(len(counts))])
     while len(kept) < _MOST_CONDITIONS and once:
-        far = [float(np.min(np.linalg.norm(places[kept] - places[one], axis=1))) for one in once]
+        far = [float(np.min(np.linalg.norm(places[kept] - places[group], axis=1))) for group in once]
         kept.append(once.pop(int(np.argmax(far))))
     kept.sort()
-    number = {group: place for place, group in enumerate(kept)}
-    trials = tuple(replace(one, group=number[one.group]) for one in data.trials if one.group in number)
-    said = f"of {len(counts)} conditions {len(kept)} were looked at: all that were repeated, others far from each other"
+    number = {group: index for index, group in enumerate(kept)}
+    trials = tuple(
+        replace(trial, group=number[trial.group]) for trial in data.trials if trial.group in number
+    )
+    message = (
+        f"of {len(counts)} conditions {len(kept)} were looked at: all that were repeated, "
+        "others far from each other"
+    )
     labels = tuple(data.conditions[group] for group in kept)
-    return replace(data, trials=trials, conditions=labels, notes=(*data.notes, said))
+    return replace(data, trials=trials, conditions=labels, notes=(*data.notes, message))
 
 
 def _places(conditions: Sequence[Mapping[str, float | str]]) -> FloatArray:
     """Return conditions as points: numbers in their range, a word as an axis of its own."""
     columns = []
-    for name in sorted({name for one in conditions for name in one}):
-        values = [one.get(name, "") for one in conditions]
-        numbers = np.array([one if isinstance(one, float | int) else np.nan for one in values], dtype=float)
+    for name in sorted({name for condition in conditions for name in condition}):
+        values = [condition.get(name, "") for condition in conditions]
+        numbers = np.array(
+            [value if isinstance(value, float | int) else np.nan for value in values], dtype=float
+        )
         if np.isfinite(numbers).all():
             columns.append((numbers - numbers.min()) / (np.ptp(numbers) or 1.0))
         else:
             columns += [
-                np.array([float(one == word) for one in values]) for word in sorted(set(values), key=str)
+                np.array([float(value == word) for value in values]) for word in sorted(set(values), key=str)
             ]
     return np.column_stack(columns) if columns else np.zeros((len(conditions), 1))
 
@@ -132,22 +140,22 @@ def _on_one_time_base(trials: Sequence[FitTrial]) -> list[FitTrial] | None:
         return list(trials)
     first, step_s = trials[0], _step_s(trials[0])
     apart = max(_SAMPLES_APART, _SHARE_APART * len(first.time_s))
-    if any(abs(len(one.time_s) - len(first.time_s)) > apart for one in trials):
+    if any(abs(len(trial.time_s) - len(first.time_s)) > apart for trial in trials):
         return None
     if len(first.time_s) < _FEWEST_ALIGNED_SAMPLES:
         return None
     spread = np.maximum(np.std(first.inputs, axis=0), 1e-12)
-    found = []
-    for one in trials:
-        ends = one.time_s[[0, -1]] - first.time_s[[0, -1]]
+    groups = []
+    for trial in trials:
+        ends = trial.time_s[[0, -1]] - first.time_s[[0, -1]]
         if np.any(np.abs(ends) > (_SAMPLES_APART + 1) * step_s):
             return None
-        inputs = _carried(one.time_s, one.inputs, first.time_s, "linear")
+        inputs = _carried(trial.time_s, trial.inputs, first.time_s, "linear")
         if np.any(np.sqrt(np.mean(np.square(inputs - first.inputs), axis=0)) > _SAME_INPUT * spread):
             return None
-        outputs = _carried(one.time_s, one.outputs, first.time_s, "cubic")
-        found.append(replace(one, time_s=first.time_s, inputs=first.inputs, outputs=outputs))
-    return found
+        outputs = _carried(trial.time_s, trial.outputs, first.time_s, "cubic")
+        groups.append(replace(trial, time_s=first.time_s, inputs=first.inputs, outputs=outputs))
+    return groups
 
 
 def _carried(
@@ -166,10 +174,10 @@ def _same_course(trials: Sequence[FitTrial]) -> bool:
     """Tell whether time bases and inputs are the same for all."""
     first = trials[0]
     return all(
-        len(one.time_s) == len(first.time_s)
-        and np.allclose(one.time_s, first.time_s, rtol=0.0, atol=1e-6 * _step_s(first))
-        and np.allclose(one.inputs, first.inputs, rtol=1e-9, atol=1e-12)
-        for one in trials[1:]
+        len(trial.time_s) == len(first.time_s)
+        and np.allclose(trial.time_s, first.time_s, rtol=0.0, atol=1e-6 * _step_s(first))
+        and np.allclose(trial.inputs, first.inputs, rtol=1e-9, atol=1e-12)
+        for trial in trials[1:]
     )
 
 

@@ -25,7 +25,7 @@ def upper_bounds(screened: Screened, base: Base, units: Mapping[str, str]) -> di
     if candidate.attached is None or candidate.scale is None:
         return {}
     size = base.problem.size
-    fitted = [one for one in candidate.attached.effect.parameters if not one.held]
+    fitted = [parameter for parameter in candidate.attached.effect.parameters if not parameter.held]
     bounds = {}
     norms = np.linalg.norm(screened.survey.directions, axis=0)
     for index, parameter in enumerate(fitted):
@@ -62,8 +62,12 @@ def _least_levels(screened: Screened, base: Base, units: Mapping[str, str]) -> d
     candidate = screened.candidate
     if candidate.attached is None or candidate.scale is None:
         return {}
-    fitted = [one for one in candidate.attached.effect.parameters if not one.held]
-    levels = [index for index, one in enumerate(fitted) if one.neutral is not None and np.isinf(one.neutral)]
+    fitted = [parameter for parameter in candidate.attached.effect.parameters if not parameter.held]
+    levels = [
+        index
+        for index, parameter in enumerate(fitted)
+        if parameter.neutral is not None and np.isinf(parameter.neutral)
+    ]
     if not levels:
         return {}
     search = _Levels(screened, base, fitted, criteria.NORMAL_95**2)

@@ -54,8 +54,8 @@ _FORCE = EffectParameter("force", "force", neutral=0.0, lower=-1.0, upper=1.0, s
 
 def push(model: Model, site: str, force: float) -> AttachedEffect:
     """Return a constant force at a joint or body site."""
-    place = next(one for one in model.sites if one.name == site)
-    effect = Effect("push", place.kind, (_FORCE,), force_law(law), "F = force", "of the diagnosis itself")
+    position = next(candidate for candidate in model.sites if candidate.name == site)
+    effect = Effect("push", position.kind, (_FORCE,), force_law(law), "F = force", "of the diagnosis itself")
     return AttachedEffect(effect, site, (force,))
 
 
@@ -67,21 +67,21 @@ def site_scales(problem: Problem, z: FloatArray) -> dict[tuple[str, str], Scale]
     """
     model = problem.model
     period = typical_time_s(problem)
-    found: dict[tuple[str, str], Scale] = {}
-    for place, site in enumerate(model.sites):
-        scale = _joint_scale(problem, z, place, period)
+    scales: dict[tuple[str, str], Scale] = {}
+    for index, site in enumerate(model.sites):
+        scale = _joint_scale(problem, z, index, period)
         if scale is not None:
-            found[site.kind, site.name] = scale
-    for column, one in enumerate(model.inputs):
+            scales[site.kind, site.name] = scale
+    for column, signal in enumerate(model.inputs):
         values = np.concatenate([trial.inputs[:, column] for trial in problem.data.trials])
         size = _peak(values)
         if np.ptp(values) > 0 and size > 0:
-            found["input", one.name] = Scale(signal=size, time_s=period)
+            scales["input", signal.name] = Scale(signal=size, time_s=period)
     for column, output in enumerate(model.outputs):
         values = np.concatenate([trial.outputs[:, column] for trial in problem.data.trials])
         size = max(_peak(values), float(problem.spread[column]))
-        found["output", output.name] = Scale(signal=size, time_s=period)
-    return found
+        scales["output", output.name] = Scale(signal=size, time_s=period)
+    return scales
 
 
 def typical_time_s(problem: Problem) -> float:
@@ -108,11 +108,11 @@ def typical_time_s(problem: Problem) -> float:
     return float(np.median(periods))
 
 
-def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> Scale | None:
+def _joint_scale(problem: Problem, z: FloatArray, column: int, period: float) -> Scale | None:
     still = site_courses(problem, z)
     if still is None:
         return None
-    motion = [one[:, place] for one, _ in still]
+    motion = [samples[:, column] for samples, _ in still]
     every = np.concatenate(motion)
     coordinate, rate = _peak(every[:, 0]), _peak(every[:, 1])
     if rate <= 0:
@@ -120,9 +120,11 @@ def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> 
     if coordinate <= 0:  # declared as constant: what it would be is how far the rate goes in a period
         coordinate = rate * period / (2.0 * np.pi)
     times = [trial.time_s for trial in problem.data.trials]
-    steps = [np.gradient(one[:, 1], time) for one, time in zip(motion, times, strict=True) if len(time) > 2]
+    steps = [
+        np.gradient(samples[:, 1], time) for samples, time in zip(motion, times, strict=True) if len(time) > 2
+    ]
     acceleration = _peak(np.concatenate(steps)) if steps else 0.0
-    force = _force(problem, z, place, still, (coordinate, rate))
+    force = _force(problem, z, column, still, (coordinate, rate))
     if force is None:
         return None
     longest_s = max(float(time[-1] - time[0]) for time in times)
@@ -132,7 +134,7 @@ def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> 
         acceleration=acceleration if acceleration > 0 else rate / period,
         force=force,
         time_s=period,
-        inertia=_inertia(problem, z, place, still, force),
+        inertia=_inertia(problem, z, column, still, force),
         travel=float(np.ptp(np.clip(every[:, 0], *np.percentile(every[:, 0], _ENDS)))) / 2.0,
         acceleration_time_s=min(2.0 * np.pi * rate / acceleration, longest_s) if acceleration > 0 else 0.0,
         load=_peak(every[:, 2]),
@@ -140,14 +142,14 @@ def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> 
 
 
 def _inertia(
-    problem: Problem, z: FloatArray, place: int, still: list[tuple[FloatArray, FloatArray]], force: float
+    problem: Problem, z: FloatArray, column: int, still: list[tuple[FloatArray, FloatArray]], force: float
 ) -> float:
     """Return what a force moves at a site when it begins to push; 0 where it moves nothing at once."""
-    pushed = site_courses(problem, z, [push(problem.model, problem.model.sites[place].name, force)])
+    pushed = site_courses(problem, z, [push(problem.model, problem.model.sites[column].name, force)])
     if pushed is None:
         return 0.0
     slopes = [
-        float((after[1, place, 1] - before[1, place, 1]) / (trial.time_s[1] - trial.time_s[0]))
+        float((after[1, column, 1] - before[1, column, 1]) / (trial.time_s[1] - trial.time_s[0]))
         for trial, (after, _), (before, _) in zip(problem.data.trials, pushed, still, strict=True)
         if len(trial.time_s) > 1
     ]
@@ -158,7 +160,7 @@ def _inertia(
 def _force(
     problem: Problem,
     z: FloatArray,
-    place: int,
+    joint_index: int,
     still: list[tuple[FloatArray, FloatArray]],
     peaks: tuple[float, float],
 ) -> float | None:
@@ -169,13 +171,16 @@ def _force(
     """
     size = 1e-6
     while size < _STRONGEST_PUSH:
-        pushed = site_courses(problem, z, [push(problem.model, problem.model.sites[place].name, size)])
+        pushed = site_courses(problem, z, [push(problem.model, problem.model.sites[joint_index].name, size)])
         if pushed is None:
             return None
         moved = np.concatenate(
-            [one[:, place] - two[:, place] for (one, _), (two, _) in zip(pushed, still, strict=True)]
+            [
+                samples[:, joint_index] - two[:, joint_index]
+                for (samples, _), (two, _) in zip(pushed, still, strict=True)
+            ]
         )
-        shown = np.concatenate([one - two for (_, one), (_, two) in zip(pushed, still, strict=True)])
+        shown = np.concatenate([samples - two for (_, samples), (_, two) in zip(pushed, still, strict=True)])
         share = max(_peak(moved[:, 0]) / peaks[0], _peak(moved[:, 1]) / peaks[1])
         if share == 0.0:
             share = max(
@@ -193,7 +198,7 @@ def site_courses(
     """Return the course of the sites and the outputs of every unit; None if any is not finite."""
     parameters = problem.model_parameters(z)
     attached = (*problem.attached(problem.parameters(z)), *added)
-    found: list[tuple[FloatArray, FloatArray]] = []
+    courses: list[tuple[FloatArray, FloatArray]] = []
     for index, trial in enumerate(problem.data.trials):
         simulation = simulate(
             problem.model,
@@ -214,8 +219,8 @@ def site_courses(
             parameters=parameters,
             condition=trial.condition,
         )
-        found.append((course, simulation.outputs))
-    return found
+        courses.append((course, simulation.outputs))
+    return courses
 
 
 _ENDS = (100.0 - _PEAK_PERCENTILE, _PEAK_PERCENTILE)
@@ -258,14 +263,16 @@ class Candidate:
         """Names of the parameters that they are."""
         if self.attached is None:
             return ()
-        return tuple(one.name for one in self.attached.effect.parameters if not one.held)
+        return tuple(parameter.name for parameter in self.attached.effect.parameters if not parameter.held)
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """What each of them is."""
         if self.attached is None:
             return ()
-        return tuple(one.quantity for one in self.attached.effect.parameters if not one.held)
+        return tuple(
+            parameter.quantity for parameter in self.attached.effect.parameters if not parameter.held
+        )
 
     def pace_s(self, sizes: Iterable[float]) -> float:
         """Return the pace of the effect's own states at these sizes, a delay or a period; infinity without any."""
@@ -273,12 +280,16 @@ class Candidate:
             return np.inf
         times = ("time", "acceleration-time")
         pairs = zip(self.quantities, sizes, strict=True)
-        return min((size * self.scale.of(one) for one, size in pairs if one in times), default=np.inf)
+        return min(
+            (size * self.scale.of(quantity) for quantity, size in pairs if quantity in times), default=np.inf
+        )
 
     def added_to(self, problem: Problem) -> Problem:
         """Return the problem with this candidate in it."""
         if self.attached is None or self.scale is None:
-            parameter = next(one for one in problem.model.parameters if one.name == self.name.effect)
+            parameter = next(
+                candidate for candidate in problem.model.parameters if candidate.name == self.name.effect
+            )
             return replace(problem, priors=problem.priors.releasing(parameter, criteria.FAR_OFF))
         return problem.with_effects([self.attached], [self.scale])
 
@@ -307,7 +318,7 @@ def candidates(
             raise RequestError(
                 f"there is no effect {name!r} to withhold", hint=suggest(name, known, kind="effects")
             )
-    found = []
+    results = []
     for effect in library:
         if effect.id in withhold or any(name in withhold for name in effect.contains):
             continue
@@ -320,29 +331,29 @@ def candidates(
                     attached.check(model)
                 except ModelError:
                     continue  # it needs a second signal, which this model has not
-                found.append(Candidate(Name(effect.id, site.name), attached, scale, _starts(possible)))
-    return [*found, *_parameters(model)]
+                results.append(Candidate(Name(effect.id, site.name), attached, scale, _starts(possible)))
+    return [*results, *_parameters(model)]
 
 
 def _as_read(effect: Effect) -> Effect:
     """Return an effect as it may be at an output: a level that readings do not pass is not far below their peak."""
 
-    def possible(one: EffectParameter) -> EffectParameter:
-        level = one.quantity == "signal" and one.neutral == np.inf
-        return replace(one, lower=max(one.lower, _LEAST_LEVEL)) if level else one
+    def possible(parameter: EffectParameter) -> EffectParameter:
+        level = parameter.quantity == "signal" and parameter.neutral == np.inf
+        return replace(parameter, lower=max(parameter.lower, _LEAST_LEVEL)) if level else parameter
 
-    return replace(effect, parameters=tuple(possible(one) for one in effect.parameters))
+    return replace(effect, parameters=tuple(possible(parameter) for parameter in effect.parameters))
 
 
 def untried(model: Model, withhold: Collection[str] = ()) -> tuple[str, ...]:
     """Return sentences on effects that no site of the model takes, because none declares what they need."""
     lacking: dict[str, list[str]] = {}
-    joints = [one for one in model.places if one.kind == "joint"]
+    joints = [location for location in model.places if location.kind == "joint"]
     for effect in effects(without=withhold):
         # where no joint has a drive, nobody misses what is in one; what another effect does in its place is not missed
         if not effect.needs or "drive" in effect.needs or effect.stand_ins:
             continue
-        fitting = [one for one in joints if effect.kind == "joint" and not effect.fits(one)]
+        fitting = [joint for joint in joints if effect.kind == "joint" and not effect.fits(joint)]
         if joints and len(fitting) == len(joints):
             lacking.setdefault(effect.needs[0], []).append(effect.id)
     return tuple(
@@ -355,9 +366,9 @@ def untried(model: Model, withhold: Collection[str] = ()) -> tuple[str, ...]:
 def _parameters(model: Model) -> list[Candidate]:
     """Parameters with a stated tolerance; what is free is recalibrated anyway, what is exact is no candidate."""
     return [
-        Candidate(Name(one.name, one.name, "parameter"), None, None, ((),))
-        for one in model.parameters
-        if not isinstance(one.tolerance, str) and one.tolerance > 0
+        Candidate(Name(parameter.name, parameter.name, "parameter"), None, None, ((),))
+        for parameter in model.parameters
+        if not isinstance(parameter.tolerance, str) and parameter.tolerance > 0
     ]
 
 
@@ -371,7 +382,7 @@ def _starts(effect: Effect) -> tuple[tuple[float, ...], ...]:
     longest = max((len(parameter.starts) for parameter in fitted), default=0)
     scanned = longest > _START_COMBINATIONS
     step = 1 if scanned else max(1, len(combined) // _START_COMBINATIONS)
-    found = []
+    results = []
     for start in combined[::step]:
         for size in _START_SIZES[:1] if scanned else _START_SIZES:
             scaled = [
@@ -382,9 +393,9 @@ def _starts(effect: Effect) -> tuple[tuple[float, ...], ...]:
                 round(min(max(value, parameter.lower), parameter.upper), 9)
                 for value, parameter in zip(scaled, fitted, strict=True)
             )
-            if inside not in found:
-                found.append(inside)
-    return tuple(found)
+            if inside not in results:
+                results.append(inside)
+    return tuple(results)
 
 
 FAMILIES: Mapping[str, tuple[str, ...]] = {
@@ -413,14 +424,14 @@ COMMON = (
 inertia that nobody drew (of a rotor, of water). What is not here comes last."""
 
 
-def family(one: Name, other: Name) -> str:
+def family(first: Name, other: Name) -> str:
     """Return the family that two effects at one site share; empty if they share none, or are the same."""
-    if one == other or one.site != other.site:
+    if first == other or first.site != other.site:
         return ""
-    both = {one.effect, other.effect}
+    both = {first.effect, other.effect}
     return next((name for name, members in FAMILIES.items() if both <= set(members)), "")
 
 
-def rank(one: Name) -> int:
+def rank(name: Name) -> int:
     """Return the place of an effect among what benches lack, from 0."""
-    return COMMON.index(one.effect) if one.effect in COMMON else len(COMMON)
+    return COMMON.index(name.effect) if name.effect in COMMON else len(COMMON)

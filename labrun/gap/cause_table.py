@@ -155,24 +155,26 @@ def _searched(candidate: Candidate, search: Search, dataset: Dataset) -> str:
         return ""
     units = effect_units(attached, search.model, dataset)
     ranges = [
-        f"{one.name} {significant(low)} to {significant(high)} {units[one.name]}".removesuffix(" 1")
-        for one in attached.effect.parameters
-        if not one.held
-        for low, high in [one.bounds(scale)]
+        f"{parameter.name} {significant(low)} to {significant(high)} {units[parameter.name]}".removesuffix(
+            " 1"
+        )
+        for parameter in attached.effect.parameters
+        if not parameter.held
+        for low, high in [parameter.bounds(scale)]
     ]
     return f"searched: {', '.join(ranges)}"
 
 
 def _index_of(search: Search, name: Name) -> int:
     effects = search.selection.final.problem.effects
-    kinds = [(one.effect.id, one.site) for one in effects]
+    kinds = [(effect.effect.id, effect.site) for effect in effects]
     return kinds.index((name.effect, name.site))
 
 
 def _bound_remark(search: Search, index: int) -> str:
     final = search.selection.final
     variable = final.problem.size - sum(
-        not one.held for other in final.problem.effects[index:] for one in other.effect.parameters
+        not parameter.held for other in final.problem.effects[index:] for parameter in other.effect.parameters
     )
     at_bounds = []
     for parameter in final.problem.effects[index].effect.parameters:

@@ -230,7 +230,9 @@ class _Pair(Problem):
     ) -> Jacobian:
         """Return residuals and their derivatives; those by a difference are those by its variable, in one unit."""
         free = self.priors.free.tolist()
-        of, differences = ([free.index(place) for place in places] for places in (self.places, self.slots))
+        of, differences = (
+            [free.index(location) for location in places] for places in (self.places, self.slots)
+        )
         simulated = np.ones(self.size, dtype=bool) if moving is None else moving.copy()
         simulated[differences] = False
         jacobian = super().jacobian(

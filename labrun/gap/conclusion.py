@@ -28,8 +28,8 @@ def traces_of(search: Search, *, with_causes: bool) -> tuple[ComparedTrace, ...]
     recalibrated = problem.simulated(recalibration.z)
     after = final.problem.simulated(final.z) if with_causes else recalibrated
     sizes = [
-        float(np.mean(np.square((trial.outputs - one) / search.noise.sd)))
-        for trial, one in zip(problem.data.trials, recalibrated, strict=True)
+        float(np.mean(np.square((trial.outputs - simulated) / search.noise.sd)))
+        for trial, simulated in zip(problem.data.trials, recalibrated, strict=True)
     ]
     worst: dict[int, int] = {}
     for index in sorted(range(len(sizes)), key=lambda index: -sizes[index]):
@@ -120,7 +120,7 @@ def conclude(
         note("measuring what of the rest is predictable")
     rest = ladder.rest_of(search, selection.steps[-1], ask=not search.is_quiet)
     decided = ladder.verdict_of(search, causes, rest)
-    found: tuple[Place, ...] = ()
+    located: tuple[Place, ...] = ()
     missing: tuple[MissingForce, ...] = ()
     if places and decided != "no-gap":
         from labrun.gap.where.forces import missing_forces
@@ -128,7 +128,7 @@ def conclude(
 
         note("looking where the gap is")
         difference = difference_of(search)
-        found = find_places(difference, rng, note=note)
+        located = find_places(difference, rng, note=note)
         if decided in ("partly-explained", "unexplained"):
             missing = missing_forces(difference)
     channels = tuple((output.name, output.unit) for output in dataset.outputs)
@@ -149,7 +149,7 @@ def conclude(
             decided, sizes, causes, rest, differs, search.noise, complete=not selection.stopped
         ),
         gap=sizes,
-        where=found,
+        where=located,
         causes=causes,
         candidates=candidate_table(search, dataset, causes),
         shrinkage=ladder.shrinkage_of(search, rng),

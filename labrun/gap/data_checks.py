@@ -105,18 +105,18 @@ def _disagreeing(dataset: Dataset) -> tuple[str, ...]:
         interval_s = _interval_s(trial)
         if interval_s is not None:
             groups.setdefault(condition_key(trial.condition), []).append((trial, interval_s))
-    found = []
+    checks = []
     for group in groups.values():
-        for place, (trial, interval_s) in enumerate(group):
+        for index, (trial, interval_s) in enumerate(group):
             # of two, nobody can say which is wrong: each is held against the other
-            compared = group if len(group) != 2 else [group[1 - place]]
-            apart = interval_s / float(np.median([one for _, one in compared])) - 1.0
+            compared = group if len(group) != 2 else [group[1 - index]]
+            apart = interval_s / float(np.median([interval for _, interval in compared])) - 1.0
             if abs(apart) > _INTERVALS_APART:
-                found.append(f"{_called(trial)} ({100 * apart:+.1f} %)")
-    if not found:
+                checks.append(f"{_called(trial)} ({100 * apart:+.1f} %)")
+    if not checks:
         return ()
     return (
-        f"Repeats were not sampled at one interval: {_listed(found)} beside the others of the condition. If a clock "
+        f"Repeats were not sampled at one interval: {_listed(checks)} beside the others of the condition. If a clock "
         "runs wrong there, what is said to be ruled out may be wrong, too: correct these times or take the trials out, "
         "and diagnose again.",
     )
@@ -187,7 +187,7 @@ def require_informative(dataset: Dataset) -> None:
             what = f"moves by no more than {steps} throughout {dataset.name}"
         else:
             continue
-        others = [one.name for place, one in enumerate(dataset.outputs) if place != column]
+        others = [port.name for index, port in enumerate(dataset.outputs) if index != column]
         rest = (
             f"take it out of the model's outputs, and diagnose with {', '.join(others)}"
             if others

@@ -143,8 +143,8 @@ class RestLaw:
         """What it says."""
         if not self.terms:
             return f"No law of up to three of {self.tried} terms predicts what is left of trials it has not seen."
-        law = " ".join(f"{one.size:+.3g} {one.formula}" for one in self.terms).removeprefix("+")
-        often = ", ".join(f"{100 * one.chosen:.0f} %" for one in self.terms)
+        law = " ".join(f"{term.size:+.3g} {term.formula}" for term in self.terms).removeprefix("+")
+        often = ", ".join(f"{100 * term.chosen:.0f} %" for term in self.terms)
         what, unit = ("force" if self.kind != "input" else "signal"), self.terms[0].unit
         return (
             f"Missing {what} at {self.site}: {law} {unit} removes {100 * self.share:.0f} % of the squares that are "
@@ -156,7 +156,7 @@ class RestLaw:
         return {
             "site": self.site,
             "kind": self.kind,
-            "terms": [asdict(one) for one in self.terms],
+            "terms": [asdict(term) for term in self.terms],
             "share_on_withheld": self.share,
             "before": self.before,
             "after": self.after,
@@ -178,8 +178,8 @@ def effect_words(effect: str) -> str:
     """Return an effect's id as words, with the capitals of people's names."""
     words = [word.capitalize() if word in _PROPER else word for word in effect.split("-")]
     if "dependent" in words[1:]:
-        place = words.index("dependent", 1)
-        words[place - 1 : place + 1] = [f"{words[place - 1]}-dependent"]
+        index = words.index("dependent", 1)
+        words[index - 1 : index + 1] = [f"{words[index - 1]}-dependent"]
     return " ".join(words)
 
 
@@ -469,7 +469,7 @@ class Diagnosis:
             "model": self.model,
             "source": self.source,
             "gap": asdict(self.gap),
-            "where": [asdict(place) for place in self.where],
+            "where": [asdict(location) for location in self.where],
             "differs_by_trial": list(self.differs),
             "causes": [cause_json(cause) for cause in self.causes],
             "candidates": [_candidate(candidate) for candidate in self.candidates],
@@ -482,18 +482,18 @@ class Diagnosis:
                 }
             },
             "recalibration": {
-                name: {"stated": stated, "tolerance": tolerance, "recalibrated": found}
-                for name, (stated, tolerance, found) in self.recalibration.items()
+                name: {"stated": stated, "tolerance": tolerance, "recalibrated": estimate}
+                for name, (stated, tolerance, estimate) in self.recalibration.items()
             },
             "corrected": dict(self.corrected),
             "effects": [
                 {
-                    "effect": one.effect.id,
-                    "kind": one.effect.kind,
-                    "site": one.site,
-                    "values": list(one.values),
+                    "effect": effect.effect.id,
+                    "kind": effect.effect.kind,
+                    "site": effect.site,
+                    "values": list(effect.values),
                 }
-                for one in self.effects
+                for effect in self.effects
             ],
             "limitations": list(self.limitations),
             "notes": list(self.notes),
@@ -539,7 +539,7 @@ def _candidate(candidate: RatedCandidate) -> dict[str, Any]:
 
 
 def _estimates(values: Mapping[str, ResampledNumber]) -> dict[str, Any]:
-    return {name: one.to_json() for name, one in values.items()}
+    return {name: value.to_json() for name, value in values.items()}
 
 
 def _names(names: Sequence[Name]) -> list[dict[str, str]]:

@@ -87,14 +87,14 @@ class FreshTest:
             "warm_up_samples": self.warm_up_samples,
             "predictions": [
                 {
-                    "output": one.output,
-                    "horizon_s": one.horizon_s,
-                    "error": one.error.to_json(),
-                    "before": one.before and one.before.to_json(),
-                    "ratio": one.ratio and one.ratio.to_json(),
-                    "predictions": one.predictions,
+                    "output": prediction.output,
+                    "horizon_s": prediction.horizon_s,
+                    "error": prediction.error.to_json(),
+                    "before": prediction.before and prediction.before.to_json(),
+                    "ratio": prediction.ratio and prediction.ratio.to_json(),
+                    "predictions": prediction.predictions,
                 }
-                for one in self.predictions
+                for prediction in self.predictions
             ],
             "notes": list(self.notes),
         }
@@ -134,16 +134,16 @@ def predict_fresh(
     horizons = _horizons(dataset, horizons_s, notes) if model.states else ()
     if not model.states:
         notes.append("the model has no states: it predicts as well however far ahead")
-    ahead = [_ahead(one, dataset, horizons, notes, note) for one in models] if horizons else []
+    ahead = [_ahead(m, dataset, horizons, notes, note) for m in models] if horizons else []
     note("simulating whole trials")
-    whole = [_whole(one, dataset) for one in models]
-    found: list[Prediction] = []
+    whole = [_whole(m, dataset) for m in models]
+    predictions: list[Prediction] = []
     for column, output in enumerate(dataset.outputs):
-        for place, horizon_s in enumerate(horizons):
-            errors = [[trial[:, place, column] for trial in one] for one in ahead]
-            found.append(_prediction(output.name, output.unit, horizon_s, errors, rng))
-        errors = [[trial[:, column] for trial in one] for one in whole]
-        found.append(_prediction(output.name, output.unit, None, errors, rng))
+        for index, horizon_s in enumerate(horizons):
+            errors = [[trial[:, index, column] for trial in of_model] for of_model in ahead]
+            predictions.append(_prediction(output.name, output.unit, horizon_s, errors, rng))
+        errors = [[trial[:, column] for trial in of_model] for of_model in whole]
+        predictions.append(_prediction(output.name, output.unit, None, errors, rng))
     if 1 < len(dataset.trials) < FEW_TRIALS:
         notes.append(f"intervals rest on {len(dataset.trials)} trials only and are coarse")
     if len(dataset.trials) == 1:
@@ -157,7 +157,7 @@ def predict_fresh(
         dataset.name,
         len(dataset.trials),
         FEWEST_SAMPLES if horizons else 0,
-        tuple(found),
+        tuple(predictions),
         tuple(dict.fromkeys(notes)),
     )
 
@@ -166,24 +166,26 @@ def _horizons(dataset: Dataset, asked: Sequence[float] | None, notes: list[str])
     """Return the horizons that at least one trial is long enough for."""
     longest = max(
         (
-            float(one.time_s[-1] - one.time_s[FEWEST_SAMPLES - 1])
-            for one in dataset.trials
-            if len(one.time_s) > FEWEST_SAMPLES
+            float(trial.time_s[-1] - trial.time_s[FEWEST_SAMPLES - 1])
+            for trial in dataset.trials
+            if len(trial.time_s) > FEWEST_SAMPLES
         ),
         default=0.0,
     )
-    for one in asked or ():
-        if not 0.0 < one <= longest:
+    for horizon in asked or ():
+        if not 0.0 < horizon <= longest:
             raise RequestError(
-                f"a horizon of {one:g} s cannot be tested on {dataset.name}",
+                f"a horizon of {horizon:g} s cannot be tested on {dataset.name}",
                 hint=f"behind the {FEWEST_SAMPLES} samples that tell the states, its longest trial leaves "
                 f"{longest:.3g} s: ask for more than 0 and at most that",
             )
     fitting = tuple(sorted({*(asked or _FRESH_HORIZONS_S)}))
-    short = [one for one in fitting if one > longest]
+    short = [horizon for horizon in fitting if horizon > longest]
     if short:
-        notes.append(f"trials are too short for a horizon of {' or '.join(f'{one:g}' for one in short)} s")
-    return tuple(one for one in fitting if one <= longest)
+        notes.append(
+            f"trials are too short for a horizon of {' or '.join(f'{horizon:g}' for horizon in short)} s"
+        )
+    return tuple(horizon for horizon in fitting if horizon <= longest)
 
 
 def _ahead(
@@ -222,7 +224,7 @@ def _ahead(
             f"{broken} of {len(pieces)} predictions of {model.name} leave the finite numbers and are not counted"
         )
     width = (len(horizons), len(dataset.outputs))
-    return [np.array(one).reshape(-1, *width) for one in errors]
+    return [np.array(error).reshape(-1, *width) for error in errors]
 
 
 def _starts(trial: FitTrial, shortest_s: float) -> list[int]:
@@ -240,14 +242,14 @@ def _cut(trial: FitTrial, begin: int, end: int) -> FitTrial:
 
 def _at(piece: FitTrial, outputs: FloatArray | None, horizons: Sequence[float]) -> FloatArray:
     """Return measured minus predicted at each horizon behind the samples that told the states."""
-    found = np.full((len(horizons), piece.outputs.shape[1]), np.nan)
+    predicted = np.full((len(horizons), piece.outputs.shape[1]), np.nan)
     now = piece.time_s[FEWEST_SAMPLES - 1]
     half = 0.5 * float(np.median(np.diff(piece.time_s)))
-    for place, horizon_s in enumerate(horizons):
+    for index, horizon_s in enumerate(horizons):
         sample = int(np.searchsorted(piece.time_s, now + horizon_s - half))
         if outputs is not None and sample < len(piece.time_s):
-            found[place] = piece.outputs[sample] - outputs[sample]
-    return found
+            predicted[index] = piece.outputs[sample] - outputs[sample]
+    return predicted
 
 
 def _whole(model: Model, dataset: Dataset) -> list[FloatArray]:
@@ -268,26 +270,31 @@ def _prediction(
     rng: np.random.Generator,
 ) -> Prediction:
     """Return root mean squares and their ratio from the errors of one or two models, trial by trial."""
-    known = [np.all([np.isfinite(one) for one in trial], axis=0) for trial in zip(*errors, strict=True)]
-    squares = [[np.square(one[where]) for one, where in zip(trials, known, strict=True)] for trials in errors]
+    known = [
+        np.all([np.isfinite(model_errors) for model_errors in trial], axis=0)
+        for trial in zip(*errors, strict=True)
+    ]
+    squares = [
+        [np.square(trial[where]) for trial, where in zip(trials, known, strict=True)] for trials in errors
+    ]
     if len(known) == 1:
-        squares = [np.array_split(one[0], _FRESH_PIECES) for one in squares]
-    kept = [index for index, one in enumerate(squares[0]) if len(one)]
+        squares = [np.array_split(square[0], _FRESH_PIECES) for square in squares]
+    kept = [index for index, model_errors in enumerate(squares[0]) if len(model_errors)]
     if not kept:
         raise FitError(
             "no prediction stays within the finite numbers", hint="check the model's units and signs"
         )
     counts = np.array([float(len(squares[0][index])) for index in kept])
-    sums = np.array([[float(np.sum(one[index])) for index in kept] for one in squares])
+    sums = np.array([[float(np.sum(square[index])) for index in kept] for square in squares])
     means = np.maximum(sums.sum(axis=1) / counts.sum(), 1e-300)
     relative = sums / means[:, None] - counts
     values = np.sqrt(means)
-    told = [_estimate(value, relative[model], counts, unit, rng) for model, value in enumerate(values)]
+    message = [_estimate(value, relative[model], counts, unit, rng) for model, value in enumerate(values)]
     ratio = None
-    if len(told) > 1:
+    if len(message) > 1:
         ratio = _estimate(float(values[0] / values[1]), relative[0] - relative[1], counts, "1", rng)
-    before = told[1] if len(told) > 1 else None
-    return Prediction(output, horizon_s, told[0], before, ratio, int(counts.sum()))
+    before = message[1] if len(message) > 1 else None
+    return Prediction(output, horizon_s, message[0], before, ratio, int(counts.sum()))
 
 
 def _estimate(
@@ -303,6 +310,6 @@ def _estimate(
     """
     if len(counts) == 1:
         return ResampledNumber(float(value), 0.0, np.inf, unit)
-    found = resample_trials(counts[:, None, None], relative[:, None], rng=rng)
-    low, high = 0.5 * np.clip([found.low[0], found.high[0]], -600.0, 600.0)
+    trials = resample_trials(counts[:, None, None], relative[:, None], rng=rng)
+    low, high = 0.5 * np.clip([trials.low[0], trials.high[0]], -600.0, 600.0)
     return ResampledNumber(float(value), float(value * np.exp(low)), float(value * np.exp(high)), unit)

@@ -62,7 +62,7 @@ def mean_residuals(problem: Problem, z: FloatArray) -> list[FloatArray]:
 
 def group_means(units: Dataset, residual: Sequence[FloatArray]) -> list[tuple[FloatArray, int]]:
     """Return the mean residual of every condition and the number of trials behind it."""
-    found = []
+    means = []
     for group in range(len(units.conditions)):
         members = units.of_group(group)
         if not members:
@@ -70,8 +70,8 @@ def group_means(units: Dataset, residual: Sequence[FloatArray]) -> list[tuple[Fl
         counts = np.array([units.trials[index].count for index in members], dtype=float)
         length = min(len(residual[index]) for index in members)
         stacked = np.stack([residual[index][:length] for index in members])
-        found.append((np.tensordot(counts / counts.sum(), stacked, axes=1), int(counts.sum())))
-    return found
+        means.append((np.tensordot(counts / counts.sum(), stacked, axes=1), int(counts.sum())))
+    return means
 
 
 def excess(
@@ -160,9 +160,9 @@ def held_out_residuals(problem: Problem, z: FloatArray) -> list[tuple[FloatArray
         test = [index for index in everything if problem.data.trials[index].group in left_out]
         train = [index for index in everything if index not in test]
         shared = _trained(problem, z, train, jacobian, known)
-        for index, one in zip(test, _tested(problem, z, shared, test, jacobian), strict=True):
-            residual[index] = one
-    return [one for one in residual if one is not None]
+        for index, tested in zip(test, _tested(problem, z, shared, test, jacobian), strict=True):
+            residual[index] = tested
+    return [tested for tested in residual if tested is not None]
 
 
 def _block_residuals(problem: Problem, z: FloatArray) -> list[tuple[FloatArray, float]]:
@@ -179,9 +179,9 @@ def _block_residuals(problem: Problem, z: FloatArray) -> list[tuple[FloatArray, 
         return list(zip(residual, beyond, strict=True))
     jacobian = problem.jacobian(z, central=False)
     known = information(problem, z, jacobian)
-    number = [np.arange(len(one)) * blocks // len(one) for one in residual]
+    number = [np.arange(len(rows)) * blocks // len(rows) for rows in residual]
     for block in range(blocks):
-        part = problem.with_seen([np.where(one == block, 0.0, 1.0) for one in number])
+        part = problem.with_seen([np.where(rows == block, 0.0, 1.0) for rows in number])
         end = _learned(part, z, _seen_rows(jacobian, part), known)
         for index, outputs in enumerate(_predicted(part, end)):
             there = number[index] == block
@@ -196,9 +196,9 @@ def _seen_rows(jacobian: Jacobian, problem: Problem) -> Jacobian:
         rows = np.repeat(seen, trial.outputs.shape[1])
         kept.append(np.concatenate([rows, np.ones(len(residual) - len(rows))]))
     return Jacobian(
-        [one * rows[:, None] for one, rows in zip(jacobian.shared, kept, strict=True)],
-        [one * rows[:, None] for one, rows in zip(jacobian.own, kept, strict=True)],
-        [one * rows for one, rows in zip(jacobian.residual, kept, strict=True)],
+        [trial_rows * rows[:, None] for trial_rows, rows in zip(jacobian.shared, kept, strict=True)],
+        [trial_rows * rows[:, None] for trial_rows, rows in zip(jacobian.own, kept, strict=True)],
+        [trial_rows * rows for trial_rows, rows in zip(jacobian.residual, kept, strict=True)],
     )
 
 
@@ -215,19 +215,20 @@ def not_withheld(problem: Problem, z: FloatArray, jacobian: Jacobian) -> tuple[s
         return ()
     known = information(problem, z, jacobian)
     everything = range(len(problem.data.trials))
-    found = set()
+    indices = set()
     for left_out in folds(groups):
         train = [index for index in everything if problem.data.trials[index].group not in left_out]
         part = problem.part(train)
         start = np.concatenate([z[: problem.size], _own(problem, z, train)])
         stays = unseen(problem, known, information(part, start, jacobian.part(train)))
-        found |= {problem.priors.names[variable] for variable in np.flatnonzero(stays)}
+        indices |= {problem.priors.names[variable] for variable in np.flatnonzero(stays)}
     sentences = []
-    for name in sorted(found):
+    for name in sorted(indices):
         number, _, parameter = name.partition(".")
-        one = problem.effects[int(number)]
+        effect = problem.effects[int(number)]
         sentences.append(
-            f"{parameter} of {one.effect.id} at {one.site} shows in one condition only: where that was withheld, it "
+            f"{parameter} of {effect.effect.id} at {effect.site} shows in one condition only: where that was "
+            "withheld, it "
             "was not learned from the others"
         )
     return tuple(sentences)
@@ -301,7 +302,7 @@ def _predicted(part: Problem, z: FloatArray) -> list[FloatArray]:
 
     Parameters that blow up elsewhere explain nothing there.
     """
-    found = []
+    results = []
     parameters = part.parameters(z)
     for index, trial in enumerate(part.data.trials):
         outputs = part.simulate(parameters, index, part.own(z, index))
@@ -310,5 +311,5 @@ def _predicted(part: Problem, z: FloatArray) -> list[FloatArray]:
                 parameters, index, part.own(z, index)
             )
         means = np.broadcast_to(np.mean(trial.outputs, axis=0), trial.outputs.shape)
-        found.append(means if outputs is None else outputs)
-    return found
+        results.append(means if outputs is None else outputs)
+    return results

@@ -93,7 +93,7 @@ class _Linear:
         prior = self._problem.priors.residual(self._at) + self._prior @ move
         rows = zip(self._residual, self._rows, self._adapted(parts), strict=True)
         changed = [part + row @ move + more for part, row, more in rows]
-        return float(prior @ prior) + sum(float(one @ one) for one in changed)
+        return float(prior @ prior) + sum(float(vector @ vector) for vector in changed)
 
     def moves_without_each(self, units: Units) -> FloatArray:
         """Return the scaled deviations of each variable with each unit of evidence left out (jackknife), (units, size).
@@ -136,29 +136,33 @@ def _shapes(base: Base, linear: _Linear) -> Iterator[tuple[FloatArray, FloatArra
     The first is that which is held.
     """
     problem = base.problem
-    held = problem.effects[: len(problem.effects) - sum(one.attached is not None for one in base.added)]
-    place = len(problem.model.parameters) + sum(len(one.values) for one in held)
+    held = problem.effects[
+        : len(problem.effects) - sum(candidate.attached is not None for candidate in base.added)
+    ]
+    position = len(problem.model.parameters) + sum(len(effect.values) for effect in held)
     for candidate in base.added:
         if candidate.attached is None or candidate.scale is None:
             continue
         for parameter in candidate.attached.effect.parameters:
             if parameter.shape:
                 scale = candidate.scale.of(parameter.quantity)
-                yield _shape(base, linear, place, [one * scale for one in parameter.starts])
-            place += 1
+                yield _shape(base, linear, position, [start * scale for start in parameter.starts])
+            position += 1
 
 
-def _shape(base: Base, linear: _Linear, place: int, values: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+def _shape(
+    base: Base, linear: _Linear, position: int, values: Sequence[float]
+) -> tuple[FloatArray, FloatArray]:
     problem = base.problem
     stays = [np.zeros_like(part) for part in base.residual]
     moves = [np.zeros(problem.size)]
     squares = [linear.left(stays, moves[0])]
     for value in values:
         every = problem.priors.values.copy()
-        every[place] = value
+        every[position] = value
         other = replace(problem, priors=replace(problem.priors, values=every))
         residual = other.finite_residuals(base.z)
-        if residual is None or value == problem.priors.values[place]:
+        if residual is None or value == problem.priors.values[position]:
             continue
         parts = [after - before for after, before in zip(residual, base.residual, strict=True)]
         moves.append(-linear.moved(parts))
@@ -168,17 +172,17 @@ def _shape(base: Base, linear: _Linear, place: int, values: Sequence[float]) -> 
 
 
 def values_of(
-    problem: Problem, z: FloatArray, place: int, moved: FloatArray, model: Model, dataset: Dataset
+    problem: Problem, z: FloatArray, position: int, moved: FloatArray, model: Model, dataset: Dataset
 ) -> dict[str, ResampledNumber]:
     """Return the sizes of the effect that stands at `place` among those of the problem, with 95 % intervals.
 
     Sizes and levels are those of the form as the library has it, which is not quite nature's.
     """
-    attached = problem.attached(problem.parameters(z))[place]
+    attached = problem.attached(problem.parameters(z))[position]
     variable = problem.size - sum(
-        not one.held for other in problem.effects[place:] for one in other.effect.parameters
+        not parameter.held for other in problem.effects[position:] for parameter in other.effect.parameters
     )
-    found = {}
+    values = {}
     units = effect_units(attached, model, dataset)
     for parameter, value in zip(attached.effect.parameters, attached.values, strict=True):
         if parameter.held:
@@ -188,14 +192,14 @@ def values_of(
         form = criteria.NORMAL_95 * _form_error(parameter) * abs(value)
         low, high = -np.hypot(min(low, 0.0), form), np.hypot(max(high, 0.0), form)
         bounds = problem.priors.lower[variable] * scale, problem.priors.upper[variable] * scale
-        found[parameter.name] = ResampledNumber(
+        values[parameter.name] = ResampledNumber(
             float(value),
             float(max(value + low, bounds[0])),
             float(min(value + high, bounds[1])),
             units[parameter.name],
         )
         variable += 1
-    return found
+    return values
 
 
 def reference_values(
@@ -230,7 +234,7 @@ def parameter_value(
     scale = float(problem.priors.scale[variable])
     value = float(z[variable]) * scale
     low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
-    unit = next(one.unit for one in model.parameters if one.name == name)
+    unit = next(parameter.unit for parameter in model.parameters if parameter.name == name)
     return {name: ResampledNumber(value, value + min(float(low), 0.0), value + max(float(high), 0.0), unit)}
 
 
@@ -239,8 +243,11 @@ def effect_units(attached: AttachedEffect, model: Model, dataset: Dataset) -> di
     signal, coordinate = "1", "rad"
     if attached.effect.kind in ("input", "output"):
         signals = dataset.inputs if attached.effect.kind == "input" else dataset.outputs
-        signal = next((one.unit for one in signals if one.name == attached.site), "1")
+        signal = next((s.unit for s in signals if s.name == attached.site), "1")
     else:
         site = model.place(attached.site, attached.effect.kind)
         coordinate = model.coordinate_unit(site, dataset.signal_units)
-    return {one.name: unit_of(one.quantity, coordinate, signal) for one in attached.effect.parameters}
+    return {
+        parameter.name: unit_of(parameter.quantity, coordinate, signal)
+        for parameter in attached.effect.parameters
+    }

@@ -76,13 +76,15 @@ def _share(
 ) -> float:
     """Return the part of a residual that signals `seen` predict where it was withheld, 0 to 1."""
     stride = max(1, sum(map(len, residual)) // _MOST_LEARNED)
-    inside = np.concatenate([one[::stride] for one in seen])
-    wanted = np.concatenate([one[::stride] for one in residual])
-    group = np.concatenate([one[::stride] for one in _pieces(problem.data, conditions)])
+    inside = np.concatenate([samples[::stride] for samples in seen])
+    wanted = np.concatenate([samples[::stride] for samples in residual])
+    group = np.concatenate([piece[::stride] for piece in _pieces(problem.data, conditions)])
     total = float(np.sum(np.square(wanted)))
     if total == 0.0:
         return 0.0
-    left = [np.sum(np.square(wanted - one)) for one in _predictions(_neurons(inside), wanted, group)]
+    left = [
+        np.sum(np.square(wanted - prediction)) for prediction in _predictions(_neurons(inside), wanted, group)
+    ]
     return float(np.clip(1.0 - min(left) / total, 0.0, 1.0))
 
 
@@ -120,23 +122,23 @@ def _predictions(neurons: FloatArray, wanted: FloatArray, group: FloatArray) -> 
     from scipy.linalg import solve
 
     names, ridges = np.unique(group), np.array(_RIDGES) * len(wanted)
-    found = [np.zeros_like(wanted) for _ in ridges]
-    whole, answer, one = neurons.T @ neurons, neurons.T @ wanted, np.eye(neurons.shape[1])
+    predictions = [np.zeros_like(wanted) for _ in ridges]
+    whole, answer, identity = neurons.T @ neurons, neurons.T @ wanted, np.eye(neurons.shape[1])
     for name in names:
         test = group == name
         inside = neurons[test]
         left, right = whole - inside.T @ inside, answer - inside.T @ wanted[test]
-        for predicted, ridge in zip(found, ridges, strict=True):
-            predicted[test] = inside @ solve(left + ridge * one, right, assume_a="pos")
-    return found
+        for predicted, ridge in zip(predictions, ridges, strict=True):
+            predicted[test] = inside @ solve(left + ridge * identity, right, assume_a="pos")
+    return predictions
 
 
 def _pieces(data: Dataset, conditions: bool) -> list[FloatArray]:
     """Return the number of the piece of its trial, or of the condition, that every sample is in."""
     if conditions:
-        return [np.full(len(one.time_s), float(one.group)) for one in data.trials]
+        return [np.full(len(trial.time_s), float(trial.group)) for trial in data.trials]
     count = _LEARNED_PIECES
-    return [np.floor(count * np.arange(len(one.time_s)) / len(one.time_s)) for one in data.trials]
+    return [np.floor(count * np.arange(len(trial.time_s)) / len(trial.time_s)) for trial in data.trials]
 
 
 def _signals(problem: Problem, z: FloatArray) -> dict[str, list[FloatArray]]:
@@ -175,5 +177,5 @@ def _slopes(signals: FloatArray, time_s: FloatArray) -> FloatArray:
 
 
 def _past(signals: FloatArray, time_s: FloatArray, ago_s: float) -> FloatArray:
-    columns: Sequence[FloatArray] = [np.interp(time_s - ago_s, time_s, one) for one in signals.T]
+    columns: Sequence[FloatArray] = [np.interp(time_s - ago_s, time_s, column) for column in signals.T]
     return np.column_stack(columns)

@@ -37,14 +37,17 @@ def line_starts(problem: Problem, z: FloatArray, candidate: Candidate) -> list[t
     missing = _missing(problem, z, candidate)
     if missing is None or candidate.attached is None:
         return []
-    limits = {one.name: (one.lower, one.upper) for one in candidate.attached.effect.parameters}
-    found: list[tuple[float, ...]] = []
+    limits = {
+        parameter.name: (parameter.lower, parameter.upper)
+        for parameter in candidate.attached.effect.parameters
+    }
+    starts: list[tuple[float, ...]] = []
     for periods, wave in missing.lines[:_LINES]:
         sine, cosine = np.clip(wave.imag, *limits["sine"]), np.clip(-wave.real, *limits["cosine"])
-        found.append((periods, float(sine), float(cosine)))
+        starts.append((periods, float(sine), float(cosine)))
     for periods in missing.unpredicted[:_LINES]:  # of these the phase is not known
-        found += [(periods, _SMALL_WAVE, sign * _SMALL_WAVE) for sign in (1.0, -1.0)]
-    return found
+        starts += [(periods, _SMALL_WAVE, sign * _SMALL_WAVE) for sign in (1.0, -1.0)]
+    return starts
 
 
 def growth_in_wells(problem: Problem, z: FloatArray, candidate: Candidate) -> float:
@@ -92,9 +95,13 @@ def _missing(problem: Problem, z: FloatArray, candidate: Candidate) -> _Missing 
     courses = site_courses(problem, z)
     if courses is None:
         return None
-    (limits,) = [(one.lower, one.upper) for one in attached.effect.parameters if one.name == "periods"]
-    place = [site.name for site in problem.model.sites].index(attached.site)
-    at = np.concatenate([course[:, place, 0] for course, _ in courses])
+    (limits,) = [
+        (parameter.lower, parameter.upper)
+        for parameter in attached.effect.parameters
+        if parameter.name == "periods"
+    ]
+    index = [site.name for site in problem.model.sites].index(attached.site)
+    at = np.concatenate([course[:, index, 0] for course, _ in courses])
     outputs = np.concatenate([shown for _, shown in courses])
     residuals, trials = mean_residuals(problem, z), problem.data.trials
     column, slope, zero = _shown(at, outputs) if scale.inertia > 0.0 else (None, 1.0, 0.0)
@@ -104,21 +111,23 @@ def _missing(problem: Problem, z: FloatArray, candidate: Candidate) -> _Missing 
         return _Missing(False, [(periods, wave) for periods, wave, _ in lines], square, [])
     steps = float(quantum(problem.data)[column]) / abs(slope) * scale.of("per-coordinate")
     limits = limits[0], min(limits[1], 2.0 * np.pi / (_STEPS_A_PERIOD * steps))
-    left = [one[:, [column]] for one in residuals]
-    measured = np.concatenate([smoothed(one.time_s, one.outputs[:, [column]])[0] for one in trials])[:, 0]
+    left = [residual[:, [column]] for residual in residuals]
+    measured = np.concatenate([smoothed(trial.time_s, trial.outputs[:, [column]])[0] for trial in trials])[
+        :, 0
+    ]
     along = (measured - zero) / slope * scale.of("per-coordinate")
-    beyond = [smoothed(one.time_s, values)[2] for one, values in zip(trials, left, strict=True)]
+    beyond = [smoothed(trial.time_s, values)[2] for trial, values in zip(trials, left, strict=True)]
     force = np.concatenate(beyond)[:, 0] / slope * scale.inertia / scale.force
     lines = _lines(along, force, *limits)
     size = max(float(np.std(np.concatenate(left))), 1e-300)
-    past = fit_whitener([one / size for one in left])
-    white = np.concatenate([past.white(one / size) for one in left])[:, 0]
-    sharp = sorted(_lines(along, white, *limits, count=4 * _LINES), key=lambda one: -one[2])
+    past = fit_whitener([residual / size for residual in left])
+    white = np.concatenate([past.white(residual / size) for residual in left])[:, 0]
+    sharp = sorted(_lines(along, white, *limits, count=4 * _LINES), key=lambda line: -line[2])
     return _Missing(
         True,
         [(periods, wave) for periods, wave, _ in lines],
         float(np.var(force)),
-        [one[0] for one in sharp],
+        [line[0] for line in sharp],
     )
 
 
@@ -151,9 +160,9 @@ def _lines(
     waves = np.fft.rfft(held, length) * np.exp(-1j * periods * (begin + width / 2.0)) * 2.0 / len(signal)
     power = np.where((periods >= lower) & (periods <= upper), np.square(np.abs(waves)), 0.0)
     around = median_filter(np.square(np.abs(waves)), size=4 * _NEIGHBOURS + 1, mode="nearest")
-    found: list[tuple[float, complex, float]] = []
-    while len(found) < count and power.any():
+    lines: list[tuple[float, complex, float]] = []
+    while len(lines) < count and power.any():
         top = int(np.argmax(power))
-        found.append((float(periods[top]), complex(waves[top]), float(power[top] / max(around[top], 1e-300))))
+        lines.append((float(periods[top]), complex(waves[top]), float(power[top] / max(around[top], 1e-300))))
         power[np.abs(periods - periods[top]) < 2.0 * np.pi / travel] = 0.0
-    return found
+    return lines

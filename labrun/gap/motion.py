@@ -18,7 +18,7 @@ def smoothed(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatA
     """
     from scipy.interpolate import CubicSpline, make_smoothing_spline
 
-    found = []
+    motions = []
     for column in values.T:
         moves = np.ptp(column) > 0 and len(column) >= _FEWEST
         spline = (
@@ -26,8 +26,8 @@ def smoothed(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatA
             if moves
             else CubicSpline(time_s, column)
         )
-        found.append([spline(time_s), spline.derivative(1)(time_s), spline.derivative(2)(time_s)])
-    rows = np.array(found)
+        motions.append([spline(time_s), spline.derivative(1)(time_s), spline.derivative(2)(time_s)])
+    rows = np.array(motions)
     return rows[:, 0].T.copy(), rows[:, 1].T.copy(), rows[:, 2].T.copy()
 
 
@@ -51,8 +51,8 @@ def _strength(time_s: FloatArray, values: FloatArray) -> float:
     ends, at = (begin, end), time_s[[0, -1]]
     through = CubicHermiteSpline(
         at,
-        [one(t) for one, t in zip(ends, at, strict=True)],
-        [one.deriv()(t) for one, t in zip(ends, at, strict=True)],
+        [end(t) for end, t in zip(ends, at, strict=True)],
+        [end.deriv()(t) for end, t in zip(ends, at, strict=True)],
     )
     power = np.square(dct(values - through(time_s), norm="ortho"))
     omega = np.pi * np.arange(count) / (count * step)

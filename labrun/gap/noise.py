@@ -111,16 +111,18 @@ def fit_whitener(sequences: Sequence[FloatArray]) -> Whitener:
     Autocorrelations are pooled over the sequences; the order, at most 8, is the one with the least AICc.
     """
     channels = sequences[0].shape[1]
-    return Whitener(tuple(_predictor([one[:, column] for one in sequences]) for column in range(channels)))
+    return Whitener(
+        tuple(_predictor([sequence[:, column] for sequence in sequences]) for column in range(channels))
+    )
 
 
 def _predictor(sequences: Sequence[FloatArray]) -> Predictor:
-    longest = max(len(one) for one in sequences)
-    total = sum(len(one) for one in sequences)
+    longest = max(len(sequence) for sequence in sequences)
+    total = sum(len(sequence) for sequence in sequences)
     most = max(0, min(_MOST_ORDER, longest // 10))
     covariance = np.array(
         [
-            sum(float(one[lag:] @ one[: len(one) - lag]) for one in sequences) / total
+            sum(float(sequence[lag:] @ sequence[: len(sequence) - lag]) for sequence in sequences) / total
             for lag in range(most + 1)
         ]
     )
@@ -198,7 +200,9 @@ class Noise:
         own = self.deviations[group]
         if len(own) < criteria.OWN_FLOOR_REPEATS:
             return 1.0 - self.systematic
-        return np.asarray(np.mean([np.mean(np.square(one / self.sd), axis=0) for one in own], axis=0))
+        return np.asarray(
+            np.mean([np.mean(np.square(residual / self.sd), axis=0) for residual in own], axis=0)
+        )
 
     def mean_floor(self, group: int, count: int) -> FloatArray:
         """Return the variance of the mean of `count` trials of a condition, in units of `sd` squared, shape (m,)."""
@@ -232,7 +236,7 @@ class Noise:
     def _draw_unit(self, unit: FitTrial, rng: np.random.Generator, cautious: bool) -> FloatArray:
         shape = unit.outputs.shape
         own = self.deviations[unit.group] if self.freedom >= criteria.ENOUGH_FREEDOM else ()
-        own = tuple(one for one in own if one.shape == shape)
+        own = tuple(residual for residual in own if residual.shape == shape)
         rounding = rng.standard_normal(shape) * np.sqrt(self.systematic) * self.sd
         if len(own) < 2:
             size = self.sd * np.sqrt((1.0 - self.systematic) / unit.count)
@@ -262,22 +266,25 @@ def from_repeats(units: Dataset, residual: Sequence[Sequence[FloatArray]]) -> No
     deviations: list[tuple[FloatArray, ...]] = []
     freedom = 0
     for group in range(groups):
-        trials = [one for index in units.of_group(group) for one in residual[index]]
+        trials = [trial_residual for index in units.of_group(group) for trial_residual in residual[index]]
         if len(trials) < 2:
             deviations.append(())
             continue
-        length = min(len(one) for one in trials)
-        mean = np.mean([one[:length] for one in trials], axis=0)
+        length = min(len(trial) for trial in trials)
+        mean = np.mean([trial[:length] for trial in trials], axis=0)
         scale = np.sqrt(len(trials) / (len(trials) - 1.0))
-        deviations.append(tuple((one[:length] - mean) * scale for one in trials))
+        deviations.append(tuple((trial[:length] - mean) * scale for trial in trials))
         freedom += len(trials) - 1
     if freedom == 0:
         return None
-    every = [one for group in deviations for one in group]
-    sd = np.sqrt(np.sum([np.sum(np.square(one), axis=0) for one in every], axis=0) / sum(map(len, every)))
-    rounding = np.array([_common_rounding(*one) for one in zip(sd, quantum(units), strict=True)])
+    every = [trial_residual for group in deviations for trial_residual in group]
+    sd = np.sqrt(
+        np.sum([np.sum(np.square(trial_residual), axis=0) for trial_residual in every], axis=0)
+        / sum(map(len, every))
+    )
+    rounding = np.array([_common_rounding(*pair) for pair in zip(sd, quantum(units), strict=True)])
     sd = np.sqrt(np.square(sd) + rounding)
-    whitener = fit_whitener([one / sd for one in every])
+    whitener = fit_whitener([trial_residual / sd for trial_residual in every])
     energy = _energy_freedom(deviations, sd)
     return Noise(sd, whitener, "repeats", rounding / np.square(sd), tuple(deviations), freedom, energy)
 
@@ -287,8 +294,8 @@ def from_reading_errors(units: Dataset) -> Noise | None:
 
     A reading is as uncertain in one row as in the next: white, and of one size in all trials.
     """
-    stated = [one.reading_error for one in units.outputs]
-    if not stated or any(one is None for one in stated):
+    stated = [output.reading_error for output in units.outputs]
+    if not stated or any(reading_error is None for reading_error in stated):
         return None
     sd = np.array(stated, dtype=float)
     groups: tuple[tuple[FloatArray, ...], ...] = tuple(() for _ in units.conditions)
@@ -304,7 +311,7 @@ def _energy_freedom(deviations: Sequence[Sequence[FloatArray]], sd: FloatArray) 
     for group in deviations:
         if len(group) < criteria.OWN_FLOOR_REPEATS:
             continue
-        stacked = np.stack([(one / sd).ravel() for one in group])
+        stacked = np.stack([(residual / sd).ravel() for residual in group])
         count = len(group)
         helmert = np.array([_contrast(row, count) for row in range(1, count)])
         energies = np.sum(np.square(helmert @ stacked), axis=1)
@@ -361,7 +368,7 @@ def of_sensor(units: Dataset, residual: Sequence[FloatArray]) -> Noise:
     spread = np.std(np.concatenate([unit.outputs for unit in units.trials]), axis=0)
     least = np.maximum(quantum(units) * _QUANTUM, criteria.MODEL_ROUNDING * spread)
     sd = [
-        max(_sensor_sd([one[:, column] for one in residual]), size)
+        max(_sensor_sd([trial_residual[:, column] for trial_residual in residual]), size)
         for column, size in enumerate(least.tolist())
     ]
     groups: tuple[tuple[FloatArray, ...], ...] = tuple(() for _ in units.conditions)
@@ -371,15 +378,17 @@ def of_sensor(units: Dataset, residual: Sequence[FloatArray]) -> Noise:
 def _sensor_sd(sequences: Sequence[FloatArray]) -> float:
     """Return the least of what several witnesses say of the noise of one channel, (n,) per trial."""
     size = float(np.sqrt(np.mean(np.square(np.concatenate(sequences)))))
-    long = [one for one in sequences if len(one) >= _FEWEST_WITNESS_SAMPLES]
+    long = [sequence for sequence in sequences if len(sequence) >= _FEWEST_WITNESS_SAMPLES]
     if not long or size == 0.0:
         return size
-    innovation = size * float(_predictor([one / size for one in long]).deviation[-1])
+    innovation = size * float(_predictor([sequence / size for sequence in long]).deviation[-1])
     # of most samples, not of all: where friction turns, a residual jumps, and that is no noise
-    steps = np.abs(np.concatenate([np.diff(one, n=2) for one in long]))
+    steps = np.abs(np.concatenate([np.diff(sequence, n=2) for sequence in long]))
     most, of_normal = _MOST_STEPS
     difference = float(np.percentile(steps, most)) / of_normal / np.sqrt(6.0)
-    densities = np.concatenate([np.square(np.abs(np.fft.rfft(one)[1:])) / len(one) for one in long])
+    densities = np.concatenate(
+        [np.square(np.abs(np.fft.rfft(sequence)[1:])) / len(sequence) for sequence in long]
+    )
     spectrum = np.sqrt(float(np.median(densities)) / np.log(2.0))
     return float(min(size, innovation, difference, spectrum))
 
@@ -389,11 +398,14 @@ def from_residual(units: Dataset, residual: Sequence[Sequence[FloatArray]]) -> N
 
     A slow remainder of a wrong model counts as noise here: the estimate errs to the cautious side.
     """
-    every = [one for unit in residual for one in unit]
-    sd = np.sqrt(np.sum([np.sum(np.square(one), axis=0) for one in every], axis=0) / sum(map(len, every)))
+    every = [trial_residual for unit in residual for trial_residual in unit]
+    sd = np.sqrt(
+        np.sum([np.sum(np.square(trial_residual), axis=0) for trial_residual in every], axis=0)
+        / sum(map(len, every))
+    )
     sd = np.maximum(sd, quantum(units) * _QUANTUM)
     groups: tuple[tuple[FloatArray, ...], ...] = tuple(() for _ in units.conditions)
-    whitener = fit_whitener([one / sd for one in every])
+    whitener = fit_whitener([trial_residual / sd for trial_residual in every])
     return Noise(sd, whitener, "residual", np.zeros_like(sd), groups, 0)
 
 
@@ -401,7 +413,7 @@ def quantum(units: Dataset) -> FloatArray:
     """Return the smallest step between different values of each output, the resolution of its sensor, shape (m,)."""
     steps = []
     for column in range(units.trials[0].outputs.shape[1]):
-        values = np.concatenate([one[:, column] for unit in units.trials for one in unit.members])
+        values = np.concatenate([member[:, column] for unit in units.trials for member in unit.members])
         different = np.diff(np.unique(values))
         span = float(np.ptp(values))
         different = different[different > 1e-9 * max(span, 1e-300)]
@@ -417,8 +429,8 @@ def independent_share(residual: Sequence[FloatArray]) -> float:
     White noise has one; a single sine two in a whole trial.
     """
     energies, freedoms = [], []
-    for one in residual:
-        for column in one.T:
+    for trial_residual in residual:
+        for column in trial_residual.T:
             power = np.square(np.abs(np.fft.rfft(column)))
             power[0] *= 0.5
             total = float(np.sum(power))
@@ -430,4 +442,4 @@ def independent_share(residual: Sequence[FloatArray]) -> float:
     if not energies:
         return 1.0
     pooled = np.sum(energies) ** 2 / np.sum(np.square(energies) / np.array(freedoms))
-    return float(min(pooled / sum(one.size for one in residual), 1.0))
+    return float(min(pooled / sum(trial_residual.size for trial_residual in residual), 1.0))

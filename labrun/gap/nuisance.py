@@ -81,8 +81,8 @@ def information(problem: Problem, z: FloatArray, jacobian: Jacobian) -> FloatArr
         reduced = reduced - np.einsum("tqp,tqr->pr", equations.mixed, np.linalg.solve(own, equations.mixed))
     size = np.sqrt(np.maximum(np.diag(reduced), 1e-300))
     correlation = reduced / np.outer(size, size) + _RIDGE * np.eye(len(size))
-    found: FloatArray = size**2 / np.maximum(np.diag(np.linalg.inv(correlation)), 1.0)
-    return found
+    bits: FloatArray = size**2 / np.maximum(np.diag(np.linalg.inv(correlation)), 1.0)
+    return bits
 
 
 def unseen(problem: Problem, whole: FloatArray, part: FloatArray) -> NDArray[np.bool_]:
@@ -93,7 +93,9 @@ def unseen(problem: Problem, whole: FloatArray, part: FloatArray) -> NDArray[np.
     whole, part : (p,)
         `information` of all data, and of the part.
     """
-    effects = sum(not one.held for attached in problem.effects for one in attached.effect.parameters)
+    effects = sum(
+        not parameter.held for attached in problem.effects for parameter in attached.effect.parameters
+    )
     of_effects = np.arange(problem.size) >= problem.size - effects
-    found: NDArray[np.bool_] = of_effects & (part < criteria.LEAST_INFORMATION * whole)
-    return found
+    weak: NDArray[np.bool_] = of_effects & (part < criteria.LEAST_INFORMATION * whole)
+    return weak

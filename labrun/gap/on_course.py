@@ -35,17 +35,17 @@ def kept_on_course(dataset: Dataset, model: Model) -> tuple[Dataset, Model, str]
     A model needs it if, linearised along the measured motion, it is so unstable that a trial's end depends on its
     beginning by many orders of magnitude, and if it does leave the motion.
     """
-    if not model.states or any(one.followed for one in model.outputs):
+    if not model.states or any(output.followed for output in model.outputs):
         return dataset, model, ""
-    trials = [one for one in dataset.trials if len(one.time_s) >= criteria.FEWEST_STEPS]
+    trials = [trial for trial in dataset.trials if len(trial.time_s) >= criteria.FEWEST_STEPS]
     if not trials:
         return dataset, model, ""
-    seen = [_linearised(model, one) for one in trials]
+    seen = [_linearised(model, trial) for trial in trials]
     slope, shown = (np.mean(np.concatenate(parts), axis=0) for parts in zip(*seen, strict=True))
     if not np.isfinite(slope).all():
         return dataset, model, ""
     growth = float(np.max(np.linalg.eigvals(slope).real))
-    duration_s = float(np.median([one.time_s[-1] - one.time_s[0] for one in trials]))
+    duration_s = float(np.median([trial.time_s[-1] - trial.time_s[0] for trial in trials]))
     if growth * duration_s < _RUNS_AWAY or not _leaves(model, dataset, trials):
         return dataset, model, ""
     held = _held(dataset, model, trials, slope, shown, _HELD_ON_COURSE * growth)
@@ -70,10 +70,10 @@ def kept_in_wells(dataset: Dataset, model: Model, growth: float) -> tuple[Datase
     tuple or None
         None where outputs do not show what there is to hold.
     """
-    trials = [one for one in dataset.trials if len(one.time_s) >= criteria.FEWEST_STEPS]
-    if not trials or not model.states or any(one.followed for one in model.outputs):
+    trials = [trial for trial in dataset.trials if len(trial.time_s) >= criteria.FEWEST_STEPS]
+    if not trials or not model.states or any(output.followed for output in model.outputs):
         return None
-    seen = [_linearised(model, one) for one in trials]
+    seen = [_linearised(model, trial) for trial in trials]
     slope, shown = (np.mean(np.concatenate(parts), axis=0) for parts in zip(*seen, strict=True))
     if not np.isfinite(slope).all():
         return None
@@ -96,15 +96,15 @@ def _held(
     dataset: Dataset, model: Model, trials: list[FitTrial], slope: FloatArray, shown: FloatArray, fall: float
 ) -> tuple[Dataset, Model] | None:
     """Return trials that tell a model what was measured, and the model that follows it as fast as `fall`, 1/s."""
-    gain = _gain(slope, shown, fall, np.std(np.concatenate([one.outputs for one in trials]), axis=0))
+    gain = _gain(slope, shown, fall, np.std(np.concatenate([trial.outputs for trial in trials]), axis=0))
     if gain is None:
         return None
-    infos = [SignalInfo(measured_name(one.name), one.unit) for one in dataset.outputs]
+    infos = [SignalInfo(measured_name(output.name), output.unit) for output in dataset.outputs]
     followed = replace(
         dataset,
         inputs=(*dataset.inputs, *infos),
         trials=tuple(
-            replace(one, inputs=np.column_stack([one.inputs, one.outputs])) for one in dataset.trials
+            replace(trial, inputs=np.column_stack([trial.inputs, trial.outputs])) for trial in dataset.trials
         ),
     )
     return followed, observed(model, gain, trials[0].condition)
@@ -142,16 +142,16 @@ def _linearised(model: Model, trial: FitTrial) -> tuple[FloatArray, FloatArray]:
             a[:, state], c[:, state] = (up - down) / (2 * nudge), (shown_up - shown_down) / (2 * nudge)
         return a, c
 
-    told = {one.name: float(v) for one, v in zip(model.outputs, values[0], strict=True)}
-    x = model.initial_state(trial.condition, first={**told, **model.told_first(trial.inputs[0])}, free=told)
+    vs = {output.name: float(v) for output, v in zip(model.outputs, values[0], strict=True)}
+    x = model.initial_state(trial.condition, first={**vs, **model.told_first(trial.inputs[0])}, free=vs)
     places = np.linspace(0, len(trial.time_s) - 1, _PLACES_ALONG).astype(int)
     found_a, found_c = [], []
-    for place in places:
-        u = np.ascontiguousarray(trial.inputs[place])
+    for location in places:
+        u = np.ascontiguousarray(trial.inputs[location])
         for _ in range(_STATE_STEPS):  # states that show what was measured, and its rate
             dx, y = at(x, u)
             a, c = slopes(x, u)
-            short = np.concatenate([(values[place] - y) / size, (rates[place] - c @ dx) / speed])
+            short = np.concatenate([(values[location] - y) / size, (rates[location] - c @ dx) / speed])
             rows = np.concatenate([c / size[:, None], (c @ a) / speed[:, None]])
             if not (np.isfinite(rows).all() and np.isfinite(short).all()):
                 return np.full((1, count, count), np.nan), np.full((1, outputs, count), np.nan)
@@ -164,12 +164,14 @@ def _linearised(model: Model, trial: FitTrial) -> tuple[FloatArray, FloatArray]:
 
 def _leaves(model: Model, dataset: Dataset, trials: list[FitTrial]) -> bool:
     """Tell whether the simulation leaves the measured motion in most trials."""
-    between = {one.name: one.between for one in dataset.inputs}
+    between = {signal.name: signal.between for signal in dataset.inputs}
     driven, far = model.with_between(between), 0
     for trial in trials:
-        told = {one.name: float(value) for one, value in zip(model.outputs, trial.outputs[0], strict=True)}
+        values = {
+            output.name: float(value) for output, value in zip(model.outputs, trial.outputs[0], strict=True)
+        }
         begin = model.initial_state(
-            trial.condition, first={**told, **model.told_first(trial.inputs[0])}, free=told
+            trial.condition, first={**values, **model.told_first(trial.inputs[0])}, free=values
         )
         outputs = simulate(
             driven, trial.time_s, trial.inputs, condition=trial.condition, initial_state=begin, substeps=4

@@ -98,7 +98,11 @@ class Search:
         problem, final = self.recalibration.problem, self.selection.final
         first = self.selection.first
         tried = set() if first is None else {entry.candidate.name for entry in first.screened}
-        left_out = [] if first is None else [one.name for one in self.candidates if one.name not in tried]
+        left_out = (
+            []
+            if first is None
+            else [candidate.name for candidate in self.candidates if candidate.name not in tried]
+        )
         return (
             *bound_remarks(problem, self.recalibration.z),
             *replaced_terms(problem, self.recalibration.z, final.z),
@@ -139,56 +143,58 @@ def search_causes(
     require_informative(dataset)
     clocks = with_sound_clocks(dataset)
     data = averaged(clocks.dataset, model)
-    followed, model, said = kept_on_course(clocks.dataset, model)
-    if said:
+    followed, model, message = kept_on_course(clocks.dataset, model)
+    if message:
         note("the model is unstable in open loop: keeping it on course by what was measured")
-        clocks = replace(clocks, dataset=followed, limitations=(said, *clocks.limitations))
+        clocks = replace(clocks, dataset=followed, limitations=(message, *clocks.limitations))
         data = averaged(followed, model)
     if model.states:
         data = without_crowding(data)
     first = recalibrate(model, data, rng, note, each)
     asked = _Asked(clocks, data, withhold, brisk, least_gap, rng, each, note, deadline_s)
-    found = _searched(asked, first)
-    if not found.candidates:  # what recalibration leaves is no gap here, or nothing moves
-        return found
-    found = _with_own_deviations(asked, first, found)
-    return _in_wells(asked, found) or found
+    causes = _searched(asked, first)
+    if not causes.candidates:  # what recalibration leaves is no gap here, or nothing moves
+        return causes
+    search = _with_own_deviations(asked, first, causes)
+    return _in_wells(asked, search) or search
 
 
-def _in_wells(asked: "_Asked", found: Search) -> Search | None:
+def _in_wells(asked: "_Asked", search: Search) -> Search | None:
     """Return the search once more on what an observer keeps in the wells of a force that comes back along a coordinate.
 
     Only where what is left plainly comes back so, and where the search finds that force then.
     """
-    final = found.selection.final
-    if found.selection.error.in_noise < criteria.LARGE_REMAINDER or found.selection.stopped:
+    final = search.selection.final
+    if search.selection.error.in_noise < criteria.LARGE_REMAINDER or search.selection.stopped:
         return None
-    growth = max((growth_in_wells(final.problem, final.z, one) for one in found.candidates), default=0.0)
-    held = kept_in_wells(asked.clocks.dataset, found.model, growth) if growth > 0.0 else None
+    growth = max(
+        (growth_in_wells(final.problem, final.z, candidate) for candidate in search.candidates), default=0.0
+    )
+    held = kept_in_wells(asked.clocks.dataset, search.model, growth) if growth > 0.0 else None
     if held is None:
         return None
     asked.note(
         "what is left comes back along the coordinate: keeping the model in its wells by what was measured"
     )
-    dataset, model, said = held
-    clocks = replace(asked.clocks, dataset=dataset, limitations=(said, *asked.clocks.limitations))
+    dataset, model, message = held
+    clocks = replace(asked.clocks, dataset=dataset, limitations=(message, *asked.clocks.limitations))
     data = without_crowding(averaged(dataset, model))
-    beside = replace(asked, clocks=clocks, data=data)
+    with_clocks = replace(asked, clocks=clocks, data=data)
     first = recalibrate(model, data, asked.rng, asked.note, asked.each)
-    again = _with_own_deviations(beside, first, _searched(beside, first))
+    again = _with_own_deviations(with_clocks, first, _searched(with_clocks, first))
     attached = [cause.candidate.attached for cause in again.selection.chosen]
-    return again if any(one is not None and one.effect.periodic for one in attached) else None
+    return again if any(effect is not None and effect.effect.periodic for effect in attached) else None
 
 
-def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) -> Search:
+def _with_own_deviations(asked: "_Asked", first: Recalibrated, search: Search) -> Search:
     """Return the search once more beside what differs by trial, where nothing was repeated and something does.
 
     Causes come first: what they explain of the differences between trials is theirs. If none of them stands beside the
     deviations, these are found again without them.
     """
-    if first.noise.known or found.selection.stopped:
-        return found
-    final = found.selection.final
+    if first.noise.known or search.selection.stopped:
+        return search
+    final = search.selection.final
     for problem, z in ((final.problem, final.z), (first.problem, first.z)):
         likely = found_alone(
             asked.data,
@@ -201,13 +207,15 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
         if not deviations:
             break
         asked.note("taking apart what differs from trial to trial, and looking for causes beside it")
-        beside, start = with_deviations(first.problem, first.z, deviations)
-        zeros = [asked.data.outputs[one].name for one in set_anew(mean_residuals(problem, z), deviations)]
-        again = _searched(asked, in_noise(beside, first.noise, start), zeros, found.selection.judged)
-        if again.selection.chosen or not found.selection.chosen:
+        extended, start = with_deviations(first.problem, first.z, deviations)
+        zeros = [
+            asked.data.outputs[output].name for output in set_anew(mean_residuals(problem, z), deviations)
+        ]
+        again = _searched(asked, in_noise(extended, first.noise, start), zeros, search.selection.judged)
+        if again.selection.chosen or not search.selection.chosen:
             return again
-        found = again
-    return found
+        search = again
+    return search
 
 
 def _that_make_up_what_is_left(
@@ -217,9 +225,9 @@ def _that_make_up_what_is_left(
 
     Of those that no cause looks like, nothing is asked.
     """
-    if not likely or not any(one.kind in ALSO_SHAPES for one in likely[0]):
+    if not likely or not any(deviation.kind in ALSO_SHAPES for deviation in likely[0]):
         return likely[0] if likely else ()
-    left = [_left_beside(problem, z, noise, one) for one in likely]
+    left = [_left_beside(problem, z, noise, deviations) for deviations in likely]
     least = int(np.argmin(left))
     return likely[least] if left[least] <= 1.0 - _DEVIATION_NEARLY_ALL else ()
 
@@ -228,7 +236,7 @@ def _left_beside(problem: Problem, z: FloatArray, noise: Noise, deviations: Sequ
     """Return the part that is left beside deviations, in units of what is left then: else they are taken for noise."""
     fitted = settled_in_own_units(noise, *with_deviations(problem, z, deviations))
     after, before = mean_residuals(*fitted), mean_residuals(problem, z)
-    left, all_of_it = (np.mean(np.square(np.concatenate(one)), axis=0) for one in (after, before))
+    left, all_of_it = (np.mean(np.square(np.concatenate(residuals)), axis=0) for residuals in (after, before))
     return float(np.mean(left / np.where(all_of_it > 0, all_of_it, 1.0)))
 
 
@@ -266,9 +274,10 @@ def _searched(
     recalibrated = fitted_excess(problem, z, noise)
     scales = site_scales(problem, z) if recalibrated.gap >= asked.least_gap else None
     every = [
-        one
-        for one in (() if scales is None else candidates(problem.model, scales, asked.withhold))
-        if not (one.name.effect == "bias" and one.name.site in zeros) and (among is None or one.name in among)
+        candidate
+        for candidate in (() if scales is None else candidates(problem.model, scales, asked.withhold))
+        if not (candidate.name.effect == "bias" and candidate.name.site in zeros)
+        and (among is None or candidate.name in among)
     ]
     asked.note(f"trying {len(every)} candidates")
     base = Base.of(problem, z, brisk=asked.brisk)

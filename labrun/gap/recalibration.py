@@ -89,19 +89,19 @@ def recalibrate(
     if refined.substeps > problem.substeps:
         z = refit(refined, z)
     problem = refined
-    found = found_in_repeats(units, member_residuals(problem, z), problem.simulated(z))
+    drawn = found_in_repeats(units, member_residuals(problem, z), problem.simulated(z))
     noise = (
-        from_repeats(units, found.residual)
+        from_repeats(units, drawn.residual)
         or from_reading_errors(units)
         or of_sensor(units, mean_residuals(problem, z))
     )
-    deviations = found.deviations if noise.known else begun_elsewhere(problem, z, noise.sd)
+    deviations = drawn.deviations if noise.known else begun_elsewhere(problem, z, noise.sd)
     if deviations:
         note("asking what differs from trial to trial")
     if noise.known and deviations:
         problem, z = with_deviations(problem, z, deviations)
-    for one in () if noise.known else deviations:
-        problem, z = _begun_elsewhere_beyond_slow_noise(problem, z, noise, one)
+    for deviation in () if noise.known else deviations:
+        problem, z = _begun_elsewhere_beyond_slow_noise(problem, z, noise, deviation)
     return in_noise(problem, noise, z)
 
 
@@ -119,11 +119,13 @@ def _begun_elsewhere_beyond_slow_noise(
     fitted = settled_in_own_units(noise, *with_deviations(problem, z, (beginning,)))
     sd = np.sqrt(np.mean(np.square(np.concatenate(mean_residuals(*fitted))), axis=0))
     sd = np.where(sd > 0, sd, 1.0)
-    before, after = ([residual / sd for residual in mean_residuals(*one)] for one in (without, fitted))
+    before, after = (
+        [residual / sd for residual in mean_residuals(*solution)] for solution in (without, fitted)
+    )
     whitener = fit_whitener(after)
     gain = sum(
-        float(np.sum(np.square(whitener.white(one))) - np.sum(np.square(whitener.white(other))))
-        for one, other in zip(before, after, strict=True)
+        float(np.sum(np.square(whitener.white(first))) - np.sum(np.square(whitener.white(other))))
+        for first, other in zip(before, after, strict=True)
     )
     return fitted if chi2.sf(gain, len(after)) <= criteria.DEVIATION_P else (problem, z)
 
@@ -226,8 +228,8 @@ def with_shorter_steps(problem: Problem, z: FloatArray) -> Problem:
         finer = problem.with_substeps(2 * problem.substeps)
         after = finer.simulated(z)
         moved = sum(
-            float(np.sum(np.square((one - two) * problem.noise.weights)))
-            for one, two in zip(before, after, strict=True)
+            float(np.sum(np.square((outputs - two) * problem.noise.weights)))
+            for outputs, two in zip(before, after, strict=True)
         )
         if moved <= _INTEGRATION_ERROR:
             break
@@ -245,7 +247,7 @@ def stated(problem: Problem, z: FloatArray) -> FloatArray:
 def member_residuals(problem: Problem, z: FloatArray) -> list[list[FloatArray]]:
     """Return measured minus simulated of every trial, unit by unit."""
     return [
-        [one - outputs for one in trial.members]
+        [member - outputs for member in trial.members]
         for trial, outputs in zip(problem.data.trials, problem.simulated(z), strict=True)
     ]
 
@@ -256,21 +258,21 @@ def unit_remarks(problem: Problem, stated: FloatArray) -> tuple[str, ...]:
     No physics makes an output -1 or 57.3 times what a model says and leaves its course as it is.
     """
     simulated = problem.simulated(stated)
-    found = []
+    warnings = []
     for column, output in enumerate(problem.data.outputs):
-        ours = np.concatenate([one[:, column] for one in simulated])
-        theirs = np.concatenate([one.outputs[:, column] for one in problem.data.trials])
+        ours = np.concatenate([outputs[:, column] for outputs in simulated])
+        theirs = np.concatenate([trial.outputs[:, column] for trial in problem.data.trials])
         ours, theirs = ours - ours.mean(), theirs - theirs.mean()
         size, energy = float(ours @ theirs), float(ours @ ours)
         if energy == 0.0 or size**2 < _SAME_COURSE**2 * energy * float(theirs @ theirs):
             continue
         for factor, words in _MISTAKEN.items():
             if abs(size / energy / factor - 1.0) < _NEAR_FACTOR:
-                found.append(
+                warnings.append(
                     f"{output.name} is {significant(size / energy, 3)} times what the model says and runs as it does: "
                     f"{words}. Check this before anything else."
                 )
-    return tuple(found)
+    return tuple(warnings)
 
 
 _MISTAKEN = {
@@ -289,19 +291,19 @@ def unsearched(problem: Problem, z: FloatArray) -> tuple[str, ...]:
     Each parameter in turn is taken to both ends of what is believed of it, the others where they are; and what left the
     finite numbers on the way of the fits was counted.
     """
-    said, found = problem.simulations.remarks, list[str]()
+    remarks, messages = problem.simulations.remarks, list[str]()
     for variable, name in enumerate(problem.priors.names[: problem.size]):
         if not np.isfinite(problem.priors.sigma[variable]):
             continue
         for end in (problem.priors.lower[variable], problem.priors.upper[variable]):
             if np.isfinite(end) and not _simulates(problem, z, variable, float(end)):
-                found.append(f"{name} = {end * problem.priors.scale[variable]:.4g}")
-    if not found:
-        return said
+                messages.append(f"{name} = {end * problem.priors.scale[variable]:.4g}")
+    if not messages:
+        return remarks
     return (
-        f"The model leaves the finite numbers with {' and with '.join(found)}, which what is stated allows: a part of "
-        "its range does not simulate, and was not searched.",
-        *said,
+        f"The model leaves the finite numbers with {' and with '.join(messages)}, which what is stated allows: a part "
+        "of its range does not simulate, and was not searched.",
+        *remarks,
     )
 
 
@@ -317,17 +319,17 @@ def _simulates(problem: Problem, z: FloatArray, variable: int, value: float) -> 
 
 def bound_remarks(problem: Problem, z: FloatArray) -> tuple[str, ...]:
     """Return a sentence for every parameter that recalibration took to the end of what is believed of it."""
-    found = []
+    warnings = []
     for variable, name in enumerate(problem.priors.names[: problem.size]):
         at_end = (
             z[variable] <= problem.priors.lower[variable] or z[variable] >= problem.priors.upper[variable]
         )
         if at_end and np.isfinite(problem.priors.sigma[variable]):
-            found.append(
+            warnings.append(
                 f"recalibration took {name} to {criteria.WITHIN_TOLERANCES:g} times its tolerance, "
                 "as far as its statement is believed"
             )
-    return tuple(found)
+    return tuple(warnings)
 
 
 def replaced_terms(problem: Problem, z: FloatArray, corrected: FloatArray) -> tuple[str, ...]:
@@ -369,7 +371,8 @@ def fresh_excess(
     if noise is None:
         raise FitError("fresh trials without repeats cannot tell gap from noise")
     problems = [
-        in_units_of(noise, one, one.begin()) for one in (stated_problem(model, data) for model in models)
+        in_units_of(noise, problem, problem.begin())
+        for problem in (stated_problem(model, data) for model in models)
     ]
-    left = [fitted_excess(one, stated(one, one.begin()), noise) for one in problems]
+    left = [fitted_excess(problem, stated(problem, problem.begin()), noise) for problem in problems]
     return left, floor_of(data, noise, rng)

@@ -84,21 +84,21 @@ def explain_rest(
     """
     base = Base.of(problem, z)
     rest = base.nuisance.remainder(base.residual, problem.priors.residual(z))
-    folds = folds_of_rows(problem, [len(one) for one in base.residual], len(rest))
-    libraries = [one for one in _libraries(base, note) if one.columns.shape[1]]
+    folds = folds_of_rows(problem, [len(residual) for residual in base.residual], len(rest))
+    libraries = [library for library in _libraries(base, note) if library.columns.shape[1]]
     if not libraries:
         return None
     note("regressing what is left on products of motion, load and input")
-    errors = [_withheld(one.columns, rest, folds) for one in libraries]
-    counts = [_count(one) for one in errors]
+    errors = [_withheld(library.columns, rest, folds) for library in libraries]
+    counts = [_count(error) for error in errors]
     best = max(range(len(libraries)), key=lambda index: 1.0 - errors[index][counts[index]] / errors[index][0])
     library, count, error = libraries[best], counts[best], errors[best]
-    tried = sum(one.columns.shape[1] for one in libraries)
+    tried = sum(other_library.columns.shape[1] for other_library in libraries)
     before = _size(noise, mean_residuals(problem, z))
     if count == 0:
         return RestLaw(library.site.name, library.site.kind, (), 0.0, before, before, "", (), {}, (), tried)
     chosen = _pursued(library.columns, rest, count)
-    formulas = [library.formulas[one] for one in chosen]
+    formulas = [library.formulas[index] for index in chosen]
     text = _toml(library.site, formulas, problem.model.name)
     law = _read(text)
     sizes = -np.linalg.lstsq(library.columns[:, chosen], rest, rcond=None)[0]
@@ -118,12 +118,14 @@ def explain_rest(
     again = _chosen_again(library.columns, rest, folds, count, rng)
     units = effect_units(attached, problem.model, problem.data).values()
     terms = tuple(
-        Term(formula, float(value), unit, float(again[place]))
-        for formula, value, unit, place in zip(formulas, values, units, chosen, strict=True)
+        Term(formula, float(value), unit, float(again[index]))
+        for formula, value, unit, index in zip(formulas, values, units, chosen, strict=True)
     )
     corrected = dict(
         zip(
-            (one.name for one in problem.model.parameters), fitted.model_parameters(end).tolist(), strict=True
+            (parameter.name for parameter in problem.model.parameters),
+            fitted.model_parameters(end).tolist(),
+            strict=True,
         )
     )
     after = _size(noise, mean_residuals(fitted, end))
@@ -151,7 +153,9 @@ def _square(noise: Noise, left: ExcessResidual) -> float:
 
 
 def _size(noise: Noise, residual: Sequence[FloatArray]) -> float:
-    squares = np.concatenate([np.mean(np.square(one / noise.sd), axis=1) for one in residual])
+    squares = np.concatenate(
+        [np.mean(np.square(trial_residual / noise.sd), axis=1) for trial_residual in residual]
+    )
     return float(np.sqrt(np.mean(squares)))
 
 
@@ -159,7 +163,7 @@ def _libraries(base: Base, note: Note) -> list[_Library]:
     """Return the terms of every site where something happens."""
     problem, z = base.problem, base.z
     scales = site_scales(problem, z)
-    found = []
+    libraries = []
     for site in problem.model.places:
         scale = scales.get((site.kind, site.name))
         if scale is None or site.kind == "output":
@@ -171,19 +175,19 @@ def _libraries(base: Base, note: Note) -> list[_Library]:
         start = np.insert(z, problem.size, np.zeros(len(formulas)))
         moving = np.arange(added.size) >= problem.size
         jacobian = added.jacobian(start, base.residual, central=True, moving=moving)
-        columns = base.nuisance.remainder([one[:, problem.size :] for one in jacobian.shared])
+        columns = base.nuisance.remainder([derivatives[:, problem.size :] for derivatives in jacobian.shared])
         seen = np.linalg.norm(columns, axis=0) > 1e-9 * np.linalg.norm(columns)
-        kept = [formula for formula, one in zip(formulas, seen, strict=True) if one]
-        found.append(_Library(site, scale, tuple(kept), columns[:, seen]))
-    return found
+        kept = [formula for formula, is_seen in zip(formulas, seen, strict=True) if is_seen]
+        libraries.append(_Library(site, scale, tuple(kept), columns[:, seen]))
+    return libraries
 
 
 def _formulas(problem: Problem, z: FloatArray, site: Site, scale: Scale) -> list[str]:
     """Return the terms of a site in multiples of typical motion, as an effect's equation has them."""
     if site.kind == "input":
         return [
-            _in_multiples(one, signal=scale.signal, sign=f"signal/{_number(_LAW_SIGN_WIDTH * scale.signal)}")
-            for one in _SIGNAL
+            _in_multiples(name, signal=scale.signal, sign=f"signal/{_number(_LAW_SIGN_WIDTH * scale.signal)}")
+            for name in _SIGNAL
         ]
     sizes = {"q": scale.coordinate, "rate": scale.rate}
     terms: tuple[str, ...] = _MOTION
@@ -191,12 +195,12 @@ def _formulas(problem: Problem, z: FloatArray, site: Site, scale: Scale) -> list
         sizes["load"] = _load_of(problem, z, site)
         terms = (*_MOTION, *_LOADED) if sizes["load"] > 0 else _MOTION
     sign = f"rate/{_number(_LAW_SIGN_WIDTH * scale.rate)}"
-    return [_in_multiples(one, sign=sign, **sizes) for one in terms]
+    return [_in_multiples(term, sign=sign, **sizes) for term in terms]
 
 
 def _load_of(problem: Problem, z: FloatArray, site: Site) -> float:
     """Return the largest load that the simulation shows at a site."""
-    parameters, place = problem.parameters(z), problem.model.sites.index(site)
+    parameters, site_index = problem.parameters(z), problem.model.sites.index(site)
     own = problem.model_parameters(z)
     largest = 0.0
     for index, trial in enumerate(problem.data.trials):
@@ -218,14 +222,14 @@ def _load_of(problem: Problem, z: FloatArray, site: Site) -> float:
                 parameters=own,
                 condition=trial.condition,
             )
-            largest = max(largest, float(np.max(np.abs(seen[:, place, 2]))))
+            largest = max(largest, float(np.max(np.abs(seen[:, site_index, 2]))))
     return largest
 
 
 def _in_multiples(term: str, *, sign: str, **sizes: float) -> str:
     """Return a term with each quantity over its typical size: ``(rate/3.2)^3``."""
-    said = {name: f"({name}/{_number(size)})" for name, size in sizes.items()} | {"sign": f"tanh({sign})"}
-    return re.sub(r"[a-z]+", lambda found: said.get(found[0], found[0]), term)
+    message = {name: f"({name}/{_number(size)})" for name, size in sizes.items()} | {"sign": f"tanh({sign})"}
+    return re.sub(r"[a-z]+", lambda match: message.get(match[0], match[0]), term)
 
 
 def _number(value: float) -> str:
@@ -234,7 +238,7 @@ def _number(value: float) -> str:
 
 def _toml(site: Site, formulas: Sequence[str], model: str) -> str:
     """Return the law as a file of effects: a size for every term."""
-    law = " + ".join(f"size_{number}*{one}" for number, one in enumerate(formulas, start=1))
+    law = " + ".join(f"size_{number}*{formula}" for number, formula in enumerate(formulas, start=1))
     signal = site.kind == "input"
     quantity = "signal" if signal else "force"
     lines = [
@@ -287,8 +291,8 @@ def _pursued(columns: FloatArray, values: FloatArray, count: int) -> list[int]:
 def _withheld(columns: FloatArray, values: FloatArray, fold: NDArray[np.intp]) -> list[float]:
     """Return the squares that 0, 1, ... terms leave of folds that neither choice nor fit has seen."""
     left = [0.0] * (_LAW_TERMS + 1)
-    for one in range(int(fold.max()) + 1):
-        test, train = fold == one, fold != one
+    for index in range(int(fold.max()) + 1):
+        test, train = fold == index, fold != index
         for count in range(_LAW_TERMS + 1):
             chosen = _pursued(columns[train], values[train], count)
             sizes = np.linalg.lstsq(columns[np.ix_(train, chosen)], values[train], rcond=None)[0]
@@ -311,9 +315,9 @@ def _chosen_again(
 ) -> FloatArray:
     """Return how often each term is chosen on resampled folds, (terms,)."""
     names = np.unique(fold[fold >= 0])
-    rows = {one: np.flatnonzero(fold == one) for one in names}
-    found = np.zeros(columns.shape[1])
+    rows = {name: np.flatnonzero(fold == name) for name in names}
+    again = np.zeros(columns.shape[1])
     for _ in range(_LAW_RESAMPLES):
-        drawn = np.concatenate([rows[one] for one in rng.choice(names, size=len(names))])
-        found[_pursued(columns[drawn], values[drawn], count)] += 1.0 / _LAW_RESAMPLES
-    return found
+        drawn = np.concatenate([rows[index] for index in rng.choice(names, size=len(names))])
+        again[_pursued(columns[drawn], values[drawn], count)] += 1.0 / _LAW_RESAMPLES
+    return again

@@ -14,8 +14,8 @@ from labrun.store import replace_durably, require_writable, saving
 def effects_of(diagnosis: Mapping[str, Any]) -> tuple[AttachedEffect, ...]:
     """Return the causes of a diagnosis, as it is stored, as effects at their sites."""
     return tuple(
-        AttachedEffect(load_effect(one["effect"], one["kind"]), one["site"], tuple(one["values"]))
-        for one in diagnosis["effects"]
+        AttachedEffect(load_effect(effect["effect"], effect["kind"]), effect["site"], tuple(effect["values"]))
+        for effect in diagnosis["effects"]
     )
 
 
@@ -135,11 +135,11 @@ def _remarks(diagnosis: Mapping[str, Any]) -> list[str]:
             diagnosis["sentence"],
             "Its parameters imitate what is missing, as far as they can on these data: do not rely on them elsewhere.",
         ]
-    found = [f"Corrected by {data}", diagnosis["sentence"]]
+    remarks = [f"Corrected by {data}", diagnosis["sentence"]]
     for cause in diagnosis["causes"]:
         name = Name(cause["effect"], cause["site"], cause["kind"])
-        for key, one in cause["values"].items():
-            low, high = one["ci95"]
-            line = f"{name}: {key} = {one['value']:.5g} [{low:.5g}, {high:.5g}] {one['unit']}"
-            found.append(line.removesuffix(" 1"))  # a ratio
-    return found
+        for key, value in cause["values"].items():
+            low, high = value["ci95"]
+            line = f"{name}: {key} = {value['value']:.5g} [{low:.5g}, {high:.5g}] {value['unit']}"
+            remarks.append(line.removesuffix(" 1"))  # a ratio
+    return remarks

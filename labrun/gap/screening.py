@@ -129,12 +129,12 @@ class Survey:
         norms = np.linalg.norm(self.directions, axis=0)
         unit = self.directions / np.where(norms > 0, norms, 1.0)
         chosen: list[int] = []
-        for place in range(len(self.starts)):
+        for index in range(len(self.starts)):
             if len(chosen) == most:
                 break
-            if not np.any(np.abs(unit[:, chosen].T @ unit[:, place]) > _STARTS_ALIKE):
-                chosen.append(place)
-        return [self.starts[place] for place in chosen]
+            if not np.any(np.abs(unit[:, chosen].T @ unit[:, index]) > _STARTS_ALIKE):
+                chosen.append(index)
+        return [self.starts[index] for index in chosen]
 
     @property
     def lines(self) -> FloatArray:
@@ -208,7 +208,7 @@ def survey(base: Base, candidate: Candidate) -> Survey:
         change = base.nuisance.remainder(parts)
         whole = float(np.sqrt(sum(float(part @ part) for part in parts)))
         rated.append((float(np.sum((before + change) ** 2)), number, z, change, whole))
-    rated.sort(key=lambda one: one[:2])
+    rated.sort(key=lambda pair: pair[:2])
     directions = np.column_stack([change for *_, change, _ in rated]) if rated else np.empty((len(before), 0))
     norms = np.linalg.norm(directions, axis=0)
     along = np.divide(directions.T @ before, norms, out=np.zeros_like(norms), where=norms > 0)
@@ -273,7 +273,7 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     if surveyed.replacing is not None:
         starts = [*starts, surveyed.replacing]
     # what the candidate is added to is fitted already: its derivatives do to see how far a start leads
-    beside = base.nuisance.jacobian if surveyed.candidate.variables else None
+    jacobian = base.nuisance.jacobian if surveyed.candidate.variables else None
     ends: list[tuple[float, Problem, FloatArray]] = []
     candidate, size = surveyed.candidate, surveyed.problem.size
     for start in starts:
@@ -285,14 +285,14 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
             tolerance=criteria.ROUGH_TOLERANCE,
             evaluations=criteria.ROUGH_EVALUATIONS,
             central=False,
-            derivatives=None if beside is None else problem.jacobian(start, there, given_jacobian=beside),
-            secant=beside is not None,
-            confirmed=beside is None,
-            given_jacobian=beside,
+            derivatives=None if jacobian is None else problem.jacobian(start, there, given_jacobian=jacobian),
+            secant=jacobian is not None,
+            confirmed=jacobian is None,
+            given_jacobian=jacobian,
             residual=there,
         )
         ends.append((problem.squares(z), problem, z))
-    squares, problem, z = min(ends, key=lambda one: one[0])
+    squares, problem, z = min(ends, key=lambda end: end[0])
     return _screened(base, surveyed, problem, z, squares)
 
 
@@ -304,20 +304,20 @@ def derivatives_around(base: Base, candidate: Candidate) -> Jacobian | None:
     return base.nuisance.jacobian if base.brisk and candidate.variables else None
 
 
-def follow(base: Base, begun: Screened) -> Screened:
+def follow(base: Base, screened: Screened) -> Screened:
     """Fit all variables to the end, from where a rough fit ended."""
-    problem, beside = begun.problem, derivatives_around(base, begun.candidate)
+    problem, derivatives = screened.problem, derivatives_around(base, screened.candidate)
     z = minimise(
         problem,
-        begun.z,
+        screened.z,
         tolerance=criteria.FIT_TOLERANCE,
         evaluations=criteria.FIT_EVALUATIONS,
         central=False,
         secant=True,
-        given_jacobian=beside,
+        given_jacobian=derivatives,
         renewals=criteria.FIT_RENEWALS,
     )
-    return _screened(base, begun.survey, problem, z, problem.squares(z))
+    return _screened(base, screened.survey, problem, z, problem.squares(z))
 
 
 def screen_all(
@@ -337,29 +337,31 @@ def screen_all(
         Sizes at which earlier fits of candidates ended; see `rough`.
     """
     known = known or {}
-    surveys = [one for one in surveys if one.starts]
-    best = max((one.potential for one in surveys), default=0.0)
+    surveys = [s for s in surveys if s.starts]
+    best = max((s.potential for s in surveys), default=0.0)
     needed = criteria.WORTH_BESIDE_BEST * best
-    top = sorted((one.potential for one in surveys), reverse=True)[: criteria.ALWAYS_FITTED]
+    top = sorted((s.potential for s in surveys), reverse=True)[: criteria.ALWAYS_FITTED]
     needed = min(needed, top[-1]) if top else needed
 
-    def begin(one: Survey) -> Screened:
-        if one.potential >= needed:
-            return rough(base, one, known.get(one.candidate.name))
-        left = base.squares - one.potential
-        return Screened(one.candidate, one.problem, one.starts[0], left, one.potential, one)
+    def begin(surveyed: Survey) -> Screened:
+        if surveyed.potential >= needed:
+            return rough(base, surveyed, known.get(surveyed.candidate.name))
+        left = base.squares - surveyed.potential
+        return Screened(
+            surveyed.candidate, surveyed.problem, surveyed.starts[0], left, surveyed.potential, surveyed
+        )
 
-    begun = each(begin, surveys)
-    gains = sorted((one.gain for one in begun if one.survey.potential >= needed), reverse=True)
+    started = each(begin, surveys)
+    gains = sorted((fit.gain for fit in started if fit.survey.potential >= needed), reverse=True)
     enough = (
         min(criteria.WORTH_FOLLOWING * gains[0], gains[: criteria.ALWAYS_FITTED + 1][-1]) if gains else 0.0
     )
 
-    def finish(one: Screened) -> Screened:
-        worthy = one.survey.potential >= needed and one.gain >= enough
-        return follow(base, one) if worthy else one
+    def finish(screened: Screened) -> Screened:
+        worthy = screened.survey.potential >= needed and screened.gain >= enough
+        return follow(base, screened) if worthy else screened
 
-    return each(finish, begun)
+    return each(finish, started)
 
 
 def refit_from_related_optima(
@@ -371,21 +373,21 @@ def refit_from_related_optima(
     """
     enough = criteria.WORTH_FOLLOWING * max((entry.gain for entry in screened), default=0.0)
 
-    def again(one: Screened) -> Screened:
+    def again(start: Screened) -> Screened:
         kin = [
             other
             for other in screened
             if other.gain >= enough
-            and other.gain > one.gain
-            and family(one.candidate.name, other.candidate.name)
-            and one.candidate.quantities == other.candidate.quantities
-            and one.survey.starts
+            and other.gain > start.gain
+            and family(start.candidate.name, other.candidate.name)
+            and start.candidate.quantities == other.candidate.quantities
+            and start.survey.starts
         ]
         if not kin:
-            return one
+            return start
         known = max(kin, key=lambda other: other.gain).sizes
-        found = follow(base, rough(base, one.survey, known))
-        return found if found.gain > one.gain else one
+        refined = follow(base, rough(base, start.survey, known))
+        return refined if refined.gain > start.gain else start
 
     return each(again, screened)
 
@@ -393,9 +395,7 @@ def refit_from_related_optima(
 def ends_of(screened: Iterable[Screened]) -> dict[Name, FloatArray]:
     """Return the sizes at which fits of effects ended, for later fits to start from."""
     return {
-        one.candidate.name: one.sizes
-        for one in screened
-        if one.candidate.variables and one.z is not one.survey.starts[0]
+        s.candidate.name: s.sizes for s in screened if s.candidate.variables and s.z is not s.survey.starts[0]
     }
 
 

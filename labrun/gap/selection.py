@@ -428,13 +428,13 @@ class Selector:
 
     def _tried(self, start: CauseSet) -> Table:
         base = start.base
-        beside = _listed(start)
+        others = _listed(start)
         surveys = self.progress(
-            f"surveying candidates {beside}", lambda candidate: survey(base, candidate), self._others(base)
+            f"surveying candidates {others}", lambda candidate: survey(base, candidate), self._others(base)
         )
 
         def fitting(work: Callable[[Argument], Result], items: Iterable[Argument], /) -> list[Result]:
-            return self.progress(f"fitting candidates {beside}", work, items)
+            return self.progress(f"fitting candidates {others}", work, items)
 
         screened = screen_all(base, surveys, each=fitting, known=self._known())
         screened = refit_from_related_optima(base, screened, fitting)
@@ -442,7 +442,7 @@ class Selector:
         promising = [entry for entry in promising if entry.gain > 0.0]
         promising = fitting(lambda entry: in_fitting_range(base, entry), promising)
         extended = self.progress(
-            f"predicting unseen data {beside}", lambda entry: self._extended(base, entry), promising
+            f"predicting unseen data {others}", lambda entry: self._extended(base, entry), promising
         )
         entries = [*self._in_other_forms(base, promising, extended), *self._in_richer_forms(start)]
         return Table(start, screened, sorted(entries, key=lambda entry: entry.error.mean))

@@ -64,7 +64,7 @@ def in_steps_that_follow(
 
 def _quick(pace_s: float, problem: Problem) -> bool:
     """Tell whether a pace is quick beside the samples."""
-    intervals = [np.diff(one.time_s) for one in problem.data.trials] if np.isfinite(pace_s) else []
+    intervals = [np.diff(trial.time_s) for trial in problem.data.trials] if np.isfinite(pace_s) else []
     return bool(intervals) and pace_s <= _QUICK * float(np.median(np.concatenate(intervals)))
 
 
@@ -118,7 +118,7 @@ def in_longer_steps(problem: Problem, z: FloatArray, fewest: Sequence[IntArray])
 def _in_finer_steps(problem: Problem) -> Problem:
     """Return the problem in shorter steps everywhere; itself if none are to be shorter."""
     few = _FINEST
-    return problem.with_steps([np.where(one < few, _FINER * one, one) for one in problem.steps])
+    return problem.with_steps([np.where(step < few, _FINER * step, step) for step in problem.steps])
 
 
 def _staying(change: FloatArray, moved: float) -> NDArray[np.bool_]:
@@ -143,10 +143,10 @@ def _short_where_it_matters(
     mine, finest = problem.steps[index], finer.steps[index]
     asking = np.where(finest > mine, _asking(problem, finer, z, index), -1.0)
     order = np.argsort(-asking, kind="stable")
-    beside = np.arange(-_SHORT_BESIDE, _SHORT_BESIDE + 1)
+    offsets = np.arange(-_SHORT_BESIDE, _SHORT_BESIDE + 1)
     only, there = problem.part([index]), np.concatenate([z[: problem.size], problem.own(z, index)])
     for part in _SHORT_PARTS if np.isfinite(asking).all() else ():
-        short = order[: int(np.ceil(part * len(order))), None] + beside
+        short = order[: int(np.ceil(part * len(order))), None] + offsets
         short, counts = np.clip(short, 0, len(order) - 1), mine.copy()
         counts[short] = finest[short]
         mixed = only.with_steps([counts])
@@ -178,9 +178,9 @@ def _course(problem: Problem, z: FloatArray, index: int) -> FloatArray:
     return simulation.states if problem.model.states else simulation.outputs
 
 
-def _squares_between(one: Sequence[FloatArray], other: Sequence[FloatArray]) -> float:
-    return sum(float(np.sum(np.square(a - b))) for a, b in zip(one, other, strict=True))
+def _squares_between(first: Sequence[FloatArray], other: Sequence[FloatArray]) -> float:
+    return sum(float(np.sum(np.square(a - b))) for a, b in zip(first, other, strict=True))
 
 
 def _squares_by_trial(problem: Problem, z: FloatArray) -> FloatArray:
-    return np.array([float(one @ one) for one in problem.residuals(z)])
+    return np.array([float(residual @ residual) for residual in problem.residuals(z)])

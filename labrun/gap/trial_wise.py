@@ -64,19 +64,19 @@ def found_in_repeats(
     residual : per unit, per member (n, m)
         Measured minus simulated of every trial.
     """
-    found: list[Deviation] = []
+    deviations: list[Deviation] = []
     left = [list(members) for members in residual]
     outputs = range(units.trials[0].outputs.shape[1])
     tried = [(kind, output) for kind in _KINDS for output in (outputs if kind != "start time" else (None,))]
-    while len(found) < _MOST_DEVIATIONS:
-        rest = [one for one in tried if one not in [(other.kind, other.output) for other in found]]
+    while len(deviations) < _MOST_DEVIATIONS:
+        rest = [types for types in tried if types not in [(other.kind, other.output) for other in deviations]]
         looked = [_looked_at(units, left, simulated, kind, output) for kind, output in rest]
-        best = max((one for one in looked if one is not None), key=lambda one: one[0], default=None)
+        best = max((look for look in looked if look is not None), key=lambda look: look[0], default=None)
         if best is None:
             break
         _, deviation, left = best
-        found.append(deviation)
-    return Found(tuple(found), left)
+        deviations.append(deviation)
+    return Found(tuple(deviations), left)
 
 
 _Looked = tuple[float, Deviation, list[list[FloatArray]]]
@@ -95,21 +95,23 @@ def _looked_at(
     scale = _disagreement(units, residual)
     columns = slice(None) if output is None else slice(output, output + 1)
     for group in range(len(units.conditions)):
-        members = [(index, place) for index in units.of_group(group) for place in range(len(residual[index]))]
+        members = [
+            (index, member) for index in units.of_group(group) for member in range(len(residual[index]))
+        ]
         if len(members) < 2:
             continue
-        length = min(len(residual[index][place]) for index, place in members)
-        mean = np.mean([residual[index][place][:length] for index, place in members], axis=0)
+        length = min(len(residual[index][member]) for index, member in members)
+        mean = np.mean([residual[index][member][:length] for index, member in members], axis=0)
         own = []
-        for index, place in members:
+        for index, member in members:
             signature = (shape_of(kind, simulated[index], units.trials[index].time_s) / scale)[:, columns]
-            away = ((residual[index][place][:length] - mean) / scale)[:, columns]
+            away = ((residual[index][member][:length] - mean) / scale)[:, columns]
             energy = float(np.sum(np.square(signature[:length])))
             own.append(float(np.sum(signature[:length] * away)) / energy if energy > 0 else 0.0)
             total += float(np.sum(np.square(away)))
             taken += own[-1] ** 2 * energy
-            after[index][place] = residual[index][place].copy()
-            after[index][place][:, columns] -= own[-1] * signature * scale[columns]
+            after[index][member] = residual[index][member].copy()
+            after[index][member][:, columns] -= own[-1] * signature * scale[columns]
         sizes += own
         freedom += len(own) - 1
     if freedom == 0 or total == 0.0 or taken < criteria.DEVIATION_SHARE * total:
@@ -129,7 +131,7 @@ def simulated_changes(problem: Problem, z: FloatArray) -> dict[tuple[DeviationKi
     Of a bias and a gain of each input that varies, and of each stated initial state that all trials share.
     """
     before, parameters = problem.simulated(z), problem.parameters(z)
-    inputs = np.concatenate([one.inputs for one in problem.data.trials])
+    inputs = np.concatenate([trial.inputs for trial in problem.data.trials])
     varying = [column for column in range(inputs.shape[1]) if np.ptp(inputs[:, column]) > 0]
     steps: dict[tuple[DeviationKind, int], float] = {
         ("initial state", state): _NUDGE * float(np.max(problem.spread))
@@ -139,18 +141,18 @@ def simulated_changes(problem: Problem, z: FloatArray) -> dict[tuple[DeviationKi
     for column in varying:
         steps["input bias", column] = _NUDGE * float(np.max(np.abs(inputs[:, column])))
         steps["input gain", column] = _NUDGE
-    found = {}
-    for (kind, place), step in steps.items():
-        if (kind, place) in [(one.kind, one.output) for one in problem.deviations]:
+    by_change = {}
+    for (kind, name), step in steps.items():
+        if (kind, name) in [(deviation.kind, deviation.output) for deviation in problem.deviations]:
             continue
-        nudged = replace(problem, deviations=(*problem.deviations, Deviation(kind, place, step)))
+        nudged = replace(problem, deviations=(*problem.deviations, Deviation(kind, name, step)))
         changes = []
         for index, (trial, outputs) in enumerate(zip(problem.data.trials, before, strict=True)):
             own = np.append(problem.own(z, index), np.sqrt(trial.count))
             after = nudged.simulate(parameters, index, own)
             changes.append(np.zeros_like(outputs) if after is None else (after - outputs) / step)
-        found[kind, place] = changes
-    return found
+        by_change[kind, name] = changes
+    return by_change
 
 
 def beginning_s(problem: Problem) -> float:
@@ -172,7 +174,7 @@ def begun_elsewhere(problem: Problem, z: FloatArray, noise_sd: FloatArray) -> tu
     noise_sd : (m,)
         Of a sample.
     """
-    found, short_s = [], beginning_s(problem)
+    deviations, short_s = [], beginning_s(problem)
     simulated = problem.simulated(z)
     for state in set(range(len(problem.model.states))) - set(problem.states.free):
         output = problem.states.output_of(state)
@@ -186,17 +188,22 @@ def begun_elsewhere(problem: Problem, z: FloatArray, noise_sd: FloatArray) -> tu
             variance += float(noise_sd[output]) ** 2 / len(begins)
         sd = float(np.sqrt(np.mean(np.square(np.array(away) - _shared(np.array(away))))))
         if sd > criteria.SAME_BEGINNING * np.sqrt(variance / len(away)):
-            found.append(Deviation("initial state", state, sd))
-    return tuple(found)
+            deviations.append(Deviation("initial state", state, sd))
+    return tuple(deviations)
 
 
 def set_anew(residual: Sequence[FloatArray], deviations: Sequence[Deviation]) -> list[int]:
     """Return the outputs whose zeros differ by trial without a part that all trials plainly share, by column."""
-    biases = [one.output for one in deviations if one.kind == "bias" and one.output is not None]
+    biases = [
+        deviation.output
+        for deviation in deviations
+        if deviation.kind == "bias" and deviation.output is not None
+    ]
     return [
         output
         for output in biases
-        if _shared(np.array([float(np.mean(one[:, output])) for one in residual])) == 0.0
+        if _shared(np.array([float(np.mean(trial_residual[:, output])) for trial_residual in residual]))
+        == 0.0
     ]
 
 
@@ -245,30 +252,35 @@ def found_alone(
     kinds = [(kind, output) for kind in _KINDS for output in (outputs if kind != "start time" else (None,))]
     shapes: dict[tuple[DeviationKind, int | None], list[FloatArray]] = {
         (kind, output): [
-            shape_of(kind, one, trial.time_s) for one, trial in zip(simulated, units.trials, strict=True)
+            shape_of(kind, outputs, trial.time_s)
+            for outputs, trial in zip(simulated, units.trials, strict=True)
         ]
         for kind, output in kinds
     }
-    for one, change in (changes or {}).items():
-        shapes[one] = list(change)
+    for name, change in (changes or {}).items():
+        shapes[name] = list(change)
     begin = [_samples_within(short_s, trial.time_s) for trial in units.trials]
-    found, alone, left = list[Deviation](), list[Deviation](), list(residual)
-    while len(found) < _MOST_DEVIATIONS:
-        rest = [one for one in shapes if one not in [(other.kind, other.output) for other in found]]
-        looked = [
-            got for one in rest if (got := _looked_at_alone(left, shapes[one], *one, begin)) is not None
+    shared_deviations, alone, left = list[Deviation](), list[Deviation](), list(residual)
+    while len(shared_deviations) < _MOST_DEVIATIONS:
+        rest = [
+            shape
+            for shape in shapes
+            if shape not in [(other.kind, other.output) for other in shared_deviations]
         ]
-        if not found:
-            alone = [one.deviation for one in looked if one.steady or one.deviation.kind in ALSO_SHAPES]
-        steady = [one for one in looked if one.steady]
+        looked = [
+            got for shape in rest if (got := _looked_at_alone(left, shapes[shape], *shape, begin)) is not None
+        ]
+        if not shared_deviations:
+            alone = [got.deviation for got in looked if got.steady or got.deviation.kind in ALSO_SHAPES]
+        steady = [got for got in looked if got.steady]
         if not steady:
             break
-        most = max(one.share for one in steady)
-        best = next(one for one in steady if one.share >= most - _SIMPLER_SHARE)
+        most = max(got.share for got in steady)
+        best = next(got for got in steady if got.share >= most - _SIMPLER_SHARE)
         left = best.residual
-        found.append(best.deviation)
-    sets = [tuple(found)] if found else []
-    return list(dict.fromkeys([*sets, *((one,) for one in alone)]))
+        shared_deviations.append(best.deviation)
+    sets = [tuple(shared_deviations)] if shared_deviations else []
+    return list(dict.fromkeys([*sets, *((deviation,) for deviation in alone)]))
 
 
 @dataclass(frozen=True)
@@ -296,14 +308,17 @@ def _looked_at_alone(
     columns = slice(None) if every else slice(output, (output or 0) + 1)
     scale = np.sqrt(np.mean(np.square(np.concatenate(residual)), axis=0))
     scale = np.where(scale > 0, scale, 1.0)
-    shapes = [(one / scale)[:, columns] for one in signature]
-    away = [(one / scale)[:, columns] for one in residual]
+    shapes = [(trial_residual / scale)[:, columns] for trial_residual in signature]
+    away = [(trial_residual / scale)[:, columns] for trial_residual in residual]
     cut = [
-        [(np.sum(np.square(a)), np.sum(a * b)) for a, b in zip(*_cut(shape, one, blocks), strict=True)]
-        for shape, one in zip(shapes, away, strict=True)
+        [
+            (np.sum(np.square(a)), np.sum(a * b))
+            for a, b in zip(*_cut(shape, trial_residual, blocks), strict=True)
+        ]
+        for shape, trial_residual in zip(shapes, away, strict=True)
     ]
     energy, along = np.array(cut)[:, :, 0], np.array(cut)[:, :, 1]
-    total = float(sum(np.sum(np.square(one)) for one in away))
+    total = float(sum(np.sum(np.square(trial_residual)) for trial_residual in away))
     if np.any(energy <= 0) or total == 0.0:
         return None
     size, whole = along / energy, np.sum(energy, axis=1)
@@ -320,8 +335,8 @@ def _looked_at_alone(
     within = float(np.sum(np.square(size - own[:, None]) * energy)) / freedom[1]
     chance = float(f.sf(taken / freedom[0] / max(within, 1e-300), *freedom))
     after = []
-    for one, shape, each in zip(residual, shapes, own - shared, strict=True):
-        cleared = one.copy()
+    for trial_residual, shape, each in zip(residual, shapes, own - shared, strict=True):
+        cleared = trial_residual.copy()
         cleared[:, columns] -= each * shape * scale[columns]
         after.append(cleared)
     sd = float(np.sqrt(np.sum(np.square(own - shared)) / freedom[0]))
@@ -337,11 +352,11 @@ def _seen_at_the_beginning(
     better. A state that no output shows at once leaves nothing to ask.
     """
     before = after = 0.0
-    for shape, one, size, count in zip(shapes, residual, own, beginnings, strict=True):
+    for shape, trial_residual, size, count in zip(shapes, residual, own, beginnings, strict=True):
         column = int(np.argmax(np.abs(shape[0])))
         if shape[0, column] != 0.0:
-            before += float(np.sum(np.square(one[:count, column])))
-            after += float(np.sum(np.square((one - size * shape)[:count, column])))
+            before += float(np.sum(np.square(trial_residual[:count, column])))
+            after += float(np.sum(np.square((trial_residual - size * shape)[:count, column])))
     return after < before or before == 0.0
 
 
@@ -419,11 +434,11 @@ def _disagreement(units: Dataset, residual: Sequence[Sequence[FloatArray]]) -> F
     """Return the root mean square of what repeats do not agree on, per output; 1 where they agree, (m,)."""
     squares = []
     for group in range(len(units.conditions)):
-        trials = [one for index in units.of_group(group) for one in residual[index]]
+        trials = [trial_residual for index in units.of_group(group) for trial_residual in residual[index]]
         length = min(map(len, trials), default=0)
         if len(trials) > 1:
-            mean = np.mean([one[:length] for one in trials], axis=0)
-            squares += [np.mean(np.square(one[:length] - mean), axis=0) for one in trials]
+            mean = np.mean([trial[:length] for trial in trials], axis=0)
+            squares += [np.mean(np.square(trial[:length] - mean), axis=0) for trial in trials]
     size = np.sqrt(np.mean(squares, axis=0)) if squares else np.ones(residual[0][0].shape[1])
     return np.asarray(np.where(size > 0, size, 1.0))
 
@@ -440,14 +455,14 @@ def _by_noise(
     rng = np.random.default_rng(0)
     left = []
     for group in range(len(units.conditions)):
-        trials = [one for index in units.of_group(group) for one in residual[index]]
+        trials = [trial_residual for index in units.of_group(group) for trial_residual in residual[index]]
         length = min(map(len, trials), default=0)
         if len(trials) > 1:
-            mean = np.mean([one[:length] for one in trials], axis=0)
-            left += [(one[:length] - mean) / scale for one in trials]
+            mean = np.mean([trial[:length] for trial in trials], axis=0)
+            left += [(trial[:length] - mean) / scale for trial in trials]
     size = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
     size = np.where(size > 0, size, 1.0)
-    whitener = fit_whitener([one / size for one in left])
+    whitener = fit_whitener([trial_residual / size for trial_residual in left])
     drawn = []
     for _ in range(_DEVIATION_DRAWS):
         index = int(rng.integers(len(simulated)))

@@ -106,10 +106,10 @@ def _table(given: Any) -> FloatArray | None:
 def _episode_of(path: str) -> tuple[str, int] | None:
     """Return the path without the group of its episode, and the episode's number."""
     parts = path.split("/")
-    for place, part in enumerate(parts[:-1]):
+    for index, part in enumerate(parts[:-1]):
         match = _EPISODE_GROUP.fullmatch(part)
         if match:
-            return "/".join([*parts[:place], *parts[place + 1 :]]), int(match[2])
+            return "/".join([*parts[:index], *parts[index + 1 :]]), int(match[2])
     return None
 
 
@@ -132,8 +132,8 @@ def _joined(parts: Sequence[Sequence[Stream]], episodes: Sequence[int]) -> list[
     for members in groups.values():
         first = members[0][1]
         columns = tuple(
-            replace(column_, values=np.concatenate([stream.columns[place].values for _, stream in members]))
-            for place, column_ in enumerate(first.columns)
+            replace(column_, values=np.concatenate([stream.columns[index].values for _, stream in members]))
+            for index, column_ in enumerate(first.columns)
         )
         findings = tuple(dict.fromkeys(finding for _, stream in members for finding in stream.findings))
         if len(members) < len(episodes):
@@ -278,9 +278,9 @@ def _stream(
             findings.append(
                 Statement(f"{path} has {table.shape[1]} columns and {len(labels)} names, which are not used")
             )
-        for place, part in enumerate(vector(path, table, labels)):
+        for index, part in enumerate(vector(path, table, labels)):
             unit = arrays.units.get(path, "") or (
-                arrays.units.get(labels[place], "") if labels and len(labels) == table.shape[1] else ""
+                arrays.units.get(labels[index], "") if labels and len(labels) == table.shape[1] else ""
             )
             columns.append(replace(part, unit=unit) if unit else part)
     return Stream(name, time_s, tuple(columns), episode=episode, findings=tuple(findings))

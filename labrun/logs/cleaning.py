@@ -67,8 +67,8 @@ class LogTable:
     def recorded(self, kind: Literal["input", "output"]) -> list[int]:
         """Return the columns of the inputs, or of the outputs, that the log has."""
         return [
-            place
-            for place, (wanted, has) in enumerate(zip(self.wanted, self.has, strict=True))
+            index
+            for index, (wanted, has) in enumerate(zip(self.wanted, self.has, strict=True))
             if wanted.kind == kind and has
         ]
 
@@ -328,21 +328,21 @@ def _on_base(
                 inside &= (at <= stamps[end - 1]) | (at >= stamps[end])
     at = at[inside]
     values = np.zeros((len(at), len(matches)))
-    for place, match in enumerate(matches):
+    for match_index, match in enumerate(matches):
         if match.stream is None or not len(at):
             continue
         whole = match.in_si()
         if match.stream is base:
-            values[:, place] = whole[own.index[rows[inside]]]
+            values[:, match_index] = whole[own.index[rows[inside]]]
             continue
         stamps, index = covering[id(match.stream)]
         course = whole[index]
         if match.wanted.goal:
-            values[:, place] = _standing(at, stamps, course)
+            values[:, match_index] = _standing(at, stamps, course)
         elif match.wanted.kind == "input":
-            values[:, place] = course[np.maximum(np.searchsorted(stamps, at, side="right") - 1, 0)]
+            values[:, match_index] = course[np.maximum(np.searchsorted(stamps, at, side="right") - 1, 0)]
         else:
-            values[:, place] = np.interp(at, stamps, course)
+            values[:, match_index] = np.interp(at, stamps, course)
     return at, rows[inside], values
 
 
@@ -356,12 +356,12 @@ def _standing(at: FloatArray, stamps: FloatArray, course: FloatArray) -> FloatAr
     first = np.maximum(np.searchsorted(stamps, at, side="right") - 1, 0)
     last = np.maximum(np.searchsorted(stamps, ends, side="left") - 1, first)
     values = course[first]
-    for place in np.flatnonzero(last > first):
-        goals = slice(first[place], last[place] + 1)
-        edges = np.concatenate([[at[place]], stamps[first[place] + 1 : goals.stop], [ends[place]]])
+    for index in np.flatnonzero(last > first):
+        goals = slice(first[index], last[index] + 1)
+        edges = np.concatenate([[at[index]], stamps[first[index] + 1 : goals.stop], [ends[index]]])
         # of differences, so that a goal that is told again is exactly what it was
-        changes = course[goals] - course[first[place]]
-        values[place] += float(changes @ np.diff(edges)) / (edges[-1] - edges[0])
+        changes = course[goals] - course[first[index]]
+        values[index] += float(changes @ np.diff(edges)) / (edges[-1] - edges[0])
     return values
 
 
@@ -370,8 +370,8 @@ def unusable(table: LogTable) -> Iterator[tuple[Piece, str]]:
     period = table.period_s
     long = max(LEAST_SAMPLES, round(STUCK_S / period))
     inputs, outputs = table.recorded("input"), table.recorded("output")
-    for place in outputs:
-        course = table.values[:, place]
+    for output in outputs:
+        course = table.values[:, output]
         same = np.append(False, np.diff(course) == 0.0)
         if same.mean() > 1 - _LIVELY:
             continue  # an encoder's steps: standing still is nothing special
@@ -388,7 +388,7 @@ def unusable(table: LogTable) -> Iterator[tuple[Piece, str]]:
             if piece.end - piece.first >= long:
                 ends = (course.min(), course.max())
                 what = "stands at the end of its range" if course[piece.first] in ends else "is frozen"
-                yield Piece(piece.first - 1, piece.end), f"{table.wanted[place].channel} {what}"
+                yield Piece(piece.first - 1, piece.end), f"{table.wanted[output].channel} {what}"
     if not inputs or not outputs:
         return
     still = np.append(False, (np.diff(table.values[:, inputs], axis=0) == 0.0).all(axis=1)) & ~table.broken
@@ -397,16 +397,16 @@ def unusable(table: LogTable) -> Iterator[tuple[Piece, str]]:
         start = piece.first + after
         if piece.end - start < long:
             continue
-        for place in outputs:
-            course = table.values[start : piece.end, place]
+        for output in outputs:
+            course = table.values[start : piece.end, output]
             noise = 1.4826 * float(np.median(np.abs(course - np.median(course))))
-            span = float(np.ptp(table.values[:, place]))
+            span = float(np.ptp(table.values[:, output]))
             moved = np.abs(course - np.median(course)) > max(0.05 * span, 8 * noise)
             if moved.any():
                 where = np.flatnonzero(moved)
                 yield (
                     Piece(start + int(where[0]), start + int(where[-1]) + 1),
-                    f"{table.wanted[place].channel} moves while nothing is commanded, as if pushed by hand",
+                    f"{table.wanted[output].channel} moves while nothing is commanded, as if pushed by hand",
                 )
 
 

@@ -141,11 +141,11 @@ def _flat(name: str, given: Any) -> Iterator[tuple[str, Any]]:
             )
             yield from _flat(own, value)
     elif isinstance(given, list) or (isinstance(given, np.ndarray) and given.dtype == object):
-        for place, value in enumerate(
+        for index, value in enumerate(
             np.asarray(given, dtype=object).ravel() if isinstance(given, np.ndarray) else given
         ):
             yield from _flat(
-                f"{name}/{place}" if not (isinstance(value, Mapping) and value.get("label")) else name, value
+                f"{name}/{index}" if not (isinstance(value, Mapping) and value.get("label")) else name, value
             )
     else:
         yield name, given

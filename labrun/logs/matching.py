@@ -127,7 +127,7 @@ def matched(
         findings.append(question)
         matches.append(Match(channel, *proposal) if proposal else Match(channel, None, None))
     findings += _twice(matches)
-    order = {channel.channel: place for place, channel in enumerate(wanted)}
+    order = {channel.channel: index for index, channel in enumerate(wanted)}
     return sorted(matches, key=lambda match: order[match.wanted.channel]), findings
 
 
@@ -270,15 +270,15 @@ def _proposal(channel: Wanted, free: Sequence[tuple[Stream, Column]]) -> tuple[S
     return None
 
 
-def numbered(place: int, width: int, pairs: Sequence[tuple[Stream, Column]]) -> tuple[Stream, Column] | None:
-    """Return the column of a place where all of them are numbered, most likely in the robot's own order."""
+def numbered(offset: int, width: int, pairs: Sequence[tuple[Stream, Column]]) -> tuple[Stream, Column] | None:
+    """Return the column of a offset where all of them are numbered, most likely in the robot's own order."""
     ends = [(_NUMBERED.fullmatch(column.stem), pair) for pair in pairs for column in (pair[1],)]
     order = sorted(
         ((int(end["number"]), index) for index, (end, _) in enumerate(ends) if end), key=lambda pair: pair[0]
     )
     if len(order) != width or len({end["stem"] for end, _ in ends if end}) != 1:
         return None
-    return ends[order[place][1]][1]
+    return ends[order[offset][1]][1]
 
 
 def _richness(stream: Stream) -> int:

@@ -41,8 +41,8 @@ def separate_publishers(stream: Stream, chosen: Mapping[str, int]) -> tuple[Stre
         kept = moving if number is None or not 1 <= number <= len(writers) else number - 1
         if not is_listed:
             listed = "; ".join(
-                f"{place}: {count} messages, {stem} {low:.4g} to {high:.4g}"
-                for place, (low, high, count) in enumerate(spans, 1)
+                f"{index}: {count} messages, {stem} {low:.4g} to {high:.4g}"
+                for index, (low, high, count) in enumerate(spans, 1)
             )
             text = f"{stream.name}: {len(writers)} writers tell different values of {stem} ({listed})"
             if number is None or not 1 <= number <= len(writers):

@@ -38,7 +38,7 @@ def read_ulg(path: Path) -> list[Stream]:
             numbers = values.astype(np.float64)
             if match:
                 columns.append(
-                    column(f"{name}/{match[1]}", "", numbers, place=int(match[2]), width=widths[match[1]])
+                    column(f"{name}/{match[1]}", "", numbers, position=int(match[2]), width=widths[match[1]])
                 )
             else:
                 columns.append(column(name, field, numbers))

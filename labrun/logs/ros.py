@@ -170,10 +170,10 @@ def _streams(topic: str, kind: str, writers: Sequence[_Writer], empty: int) -> I
                 f"{', '.join(most.names[:8])}"
             )
         )
-    for place, group in enumerate(groups):
+    for index, group in enumerate(groups):
         stream = _joined(topic, kind, group)
         yield Stream(
-            stream.name, stream.time_s, stream.columns, stream.received, None, () if place else tuple(findings),
+            stream.name, stream.time_s, stream.columns, stream.received, None, () if index else tuple(findings),
             stream.receipt_s, stream.publisher,
         )  # fmt: skip
 
@@ -198,7 +198,7 @@ def _joined(topic: str, kind: str, writers: Sequence[_Writer]) -> Stream:
     rows = np.argsort(order, kind="stable")
     receipt_s = np.concatenate([np.asarray(writer.received_s) for writer in writers])[rows]
     stamped_s = np.concatenate([np.asarray(writer.stamped_s) for writer in writers])[rows]
-    publisher = np.concatenate([np.full(len(writer.order), place) for place, writer in enumerate(writers)])[
+    publisher = np.concatenate([np.full(len(writer.order), index) for index, writer in enumerate(writers)])[
         rows
     ]
     names = list(dict.fromkeys(name for writer in writers for name in writer.names))
@@ -216,9 +216,9 @@ def _joined(topic: str, kind: str, writers: Sequence[_Writer]) -> Stream:
         if kind in _ARRAYS:
             columns += vector(topic, table)
             continue
-        for place, name in enumerate(names):
-            if not np.isnan(table[:, place]).all():
-                columns.append(column(f"{topic}/{part}", name, table[:, place], unit=_PARTS[part]))
+        for index, name in enumerate(names):
+            if not np.isnan(table[:, index]).all():
+                columns.append(column(f"{topic}/{part}", name, table[:, index], unit=_PARTS[part]))
     if kind in _TRAJECTORIES:
         starts_s = np.unique(stamped_s)
         next_s = np.append(starts_s, np.inf)[np.searchsorted(starts_s, stamped_s, side="right")]

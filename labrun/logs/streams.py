@@ -130,7 +130,7 @@ def column(
     values: FloatArray,
     *,
     unit: str = "",
-    place: int | None = None,
+    position: int | None = None,
     width: int | None = None,
 ) -> Column:
     """Return a column, with what its name says: `group` is its topic or table, `label` its own name in it."""
@@ -154,9 +154,9 @@ def column(
     )
     by_order = bool({"qpos", "ctrl"} & (own | around))
     name = f"{group}/{label}" if label and group else group or label
-    if place is not None and not label:
-        name, stem = f"{group}[{place}]", ""
-    return Column(name, stem, role, np.asarray(values, dtype=np.float64), stated, place, width, by_order)
+    if position is not None and not label:
+        name, stem = f"{group}[{position}]", ""
+    return Column(name, stem, role, np.asarray(values, dtype=np.float64), stated, position, width, by_order)
 
 
 def vector(group: str, values: FloatArray, names: tuple[str, ...] | None = None) -> list[Column]:
@@ -164,7 +164,8 @@ def vector(group: str, values: FloatArray, names: tuple[str, ...] | None = None)
     width = values.shape[1]
     labels = names if names is not None and len(names) == width else ("",) * width
     return [
-        column(group, label, values[:, place], place=place, width=width) for place, label in enumerate(labels)
+        column(group, label, values[:, index], position=index, width=width)
+        for index, label in enumerate(labels)
     ]
 
 
@@ -185,10 +186,10 @@ def separate_sparse(stream: Stream) -> list[Stream]:
         if not rows.any():
             blank.append(column_.name)
             continue
-        for place, (other, columns) in enumerate(groups):
+        for index, (other, columns) in enumerate(groups):
             if np.count_nonzero(rows & other) >= SAME_ROWS * max(rows.sum(), other.sum()):
                 columns.append(column_)
-                groups[place] = rows | other, columns
+                groups[index] = rows | other, columns
                 break
         else:
             groups.append((rows, [column_]))
@@ -205,9 +206,9 @@ def separate_sparse(stream: Stream) -> list[Stream]:
             )
         )
     separated = []
-    for place, (rows, columns) in enumerate(groups):
-        name = stream.name if not place else f"{stream.name} ({columns[0].name})"
-        part = replace(stream, name=name, columns=tuple(columns), findings=() if place else tuple(findings))
+    for index, (rows, columns) in enumerate(groups):
+        name = stream.name if not index else f"{stream.name} ({columns[0].name})"
+        part = replace(stream, name=name, columns=tuple(columns), findings=() if index else tuple(findings))
         separated.append(part.at(rows))
     return separated
 

@@ -128,8 +128,8 @@ def _flat(name: str, given: Any, *, top: bool = False) -> Iterator[tuple[str, An
         for key, value in given.items():
             yield from _flat(str(key) if top else f"{name}/{key}", value)
     elif isinstance(given, list | tuple):
-        for place, value in enumerate(given):
+        for index, value in enumerate(given):
             # a list of dictionaries is one of episodes
-            yield from _flat(f"{name}/{'episode_' if isinstance(value, Mapping) else ''}{place}", value)
+            yield from _flat(f"{name}/{'episode_' if isinstance(value, Mapping) else ''}{index}", value)
     elif isinstance(given, np.ndarray):
         yield name, given

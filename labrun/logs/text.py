@@ -62,7 +62,7 @@ def _encoding(path: Path) -> tuple[str, list[Finding]]:
             return "utf-32", [Statement(f"{path.name} is text in UTF-32")]
         if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
             return "utf-16", [Statement(f"{path.name} is text in UTF-16")]
-        zeros = [start[place::2].count(0) / max(len(start) // 2, 1) for place in (0, 1)]
+        zeros = [start[index::2].count(0) / max(len(start) // 2, 1) for index in (0, 1)]
         if max(zeros) > 0.4:
             encoding = "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
             return encoding, [
@@ -107,14 +107,14 @@ def _read(path: Path, file: io.TextIOWrapper, findings: list[Finding]) -> TextTa
     if not start:
         raise RecordingError(f"{path}: there is a header and no sample below it", hint=_EXPECTED)
     cells = start[0][1][: len(header)]
-    dates = [place for place, cell in enumerate(cells) if is_iso(cell) and is_time(header[place])]
+    dates = [index for index, cell in enumerate(cells) if is_iso(cell) and is_time(header[index])]
     table, texts = _parsed(path, chain(start, body), header, delimiter, dates, findings)
-    for place in dates:
-        table[:, place], date_findings = iso_seconds(texts[place], header[place])
-        units[header[place]] = "s"
+    for date in dates:
+        table[:, date], date_findings = iso_seconds(texts[date], header[date])
+        units[header[date]] = "s"
         findings += date_findings
-    words = [name for place, name in enumerate(header) if np.isnan(table[:, place]).all()]
-    arrays = {name: table[:, place] for place, name in enumerate(header) if name not in words}
+    words = [name for index, name in enumerate(header) if np.isnan(table[:, index]).all()]
+    arrays = {name: table[:, index] for index, name in enumerate(header) if name not in words}
     if not arrays:
         names = ", ".join(header)[:80]
         raise RecordingError(f"{path}: no column holds numbers below the header {names}", hint=_EXPECTED)
@@ -163,7 +163,7 @@ def _parsed(
 ) -> tuple[FloatArray, dict[int, list[str]]]:
     """Return the numbers, (rows, columns), and the text of the columns of dates."""
     width, blocks = len(header), []
-    texts: dict[int, list[str]] = {place: [] for place in dates}
+    texts: dict[int, list[str]] = {date: [] for date in dates}
     bad: dict[int, tuple[int, int, str]] = {}
     short: tuple[int, int] | None = None
     while chunk := list(islice(rows, _CHUNK_ROWS)):
@@ -172,17 +172,17 @@ def _parsed(
         short = _last_short(path, chunk, width, delimiter)
         block = np.full((len(chunk), width), np.nan)
         for row, (line, cells) in enumerate(chunk):
-            for place, cell in enumerate(cells[:width]):
-                if place in texts:
-                    texts[place].append(cell)
+            for index, cell in enumerate(cells[:width]):
+                if index in texts:
+                    texts[index].append(cell)
                     continue
                 try:
-                    block[row, place] = float(cell if delimiter == "," else cell.replace(",", "."))
+                    block[row, index] = float(cell if delimiter == "," else cell.replace(",", "."))
                 except ValueError:
                     if cell.strip():
-                        _require_no_thousands(path, line, header[place], cell)
-                        count, first, what = bad.get(place, (0, line, cell.strip()))
-                        bad[place] = count + 1, first, what
+                        _require_no_thousands(path, line, header[index], cell)
+                        count, first, what = bad.get(index, (0, line, cell.strip()))
+                        bad[index] = count + 1, first, what
         blocks.append(block)
     table = np.concatenate(blocks)
     if short is not None:
@@ -223,16 +223,16 @@ def _without_numbers(
 ) -> list[Finding]:
     """Return what is said of cells that hold no number; refuse a column that has too many of them."""
     findings: list[Finding] = []
-    for place, (count, line, what) in bad.items():
-        if np.isnan(table[:, place]).all():
+    for name, (count, line, what) in bad.items():
+        if np.isnan(table[:, name]).all():
             continue
         if count > _MOST_BAD_CELLS * len(table):
             raise RecordingError(
-                f"{path}:{line}: column {header[place]!r} holds {what!r}, and no number in {count} of {len(table)} "
+                f"{path}:{line}: column {header[name]!r} holds {what!r}, and no number in {count} of {len(table)} "
                 "rows",
                 hint=_EXPECTED,
             )
-        text = f"column {header[place]} has {count} cells without a number, first {what!r} in line {line}"
+        text = f"column {header[name]} has {count} cells without a number, first {what!r} in line {line}"
         findings.append(Statement(f"{path.name}: {text}"))
     return findings
 

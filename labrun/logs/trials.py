@@ -60,10 +60,10 @@ def _rests(table: LogTable) -> list[Piece]:
     period = table.period_s
     width = max(2, round(REST_S / period))
     quiet = np.ones(len(table.time_s), dtype=bool)
-    for place, wanted in enumerate(table.wanted):
-        if not table.has[place]:
+    for index, wanted in enumerate(table.wanted):
+        if not table.has[index]:
             continue
-        course, span = table.values[:, place], float(np.ptp(table.values[:, place]))
+        course, span = table.values[:, index], float(np.ptp(table.values[:, index]))
         if span == 0.0:
             continue
         noise = float(np.median(np.abs(np.diff(course)))) if wanted.kind == "output" else 0.0

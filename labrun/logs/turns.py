@@ -90,13 +90,13 @@ def correct_turns(matches: Sequence[Match]) -> tuple[list[Match], list[Finding]]
     findings: list[Finding] = []
     made = [_corrected(match, findings) for match in matches]
     measured = {match.wanted.names[0]: match for match in made if match.wanted.kind == "output"}
-    for place, (before, match) in enumerate(zip(matches, made, strict=True)):
+    for index, (before, match) in enumerate(zip(matches, made, strict=True)):
         other = measured.get(match.wanted.names[0])
         if match.wanted.kind != "input" or match.turn is None or other is None or other.column is None:
             continue
         if match is not before and _apart(before, other) < _apart(match, other):
             # the joint followed a goal of a whole turn
-            made[place] = before
+            made[index] = before
             findings[:] = [finding for finding in findings if finding.channel != match.wanted.channel]
             match = before  # noqa: PLW2901
         shifted = _beside_goal(match, other, findings)
@@ -151,20 +151,20 @@ def _sorted(jumps: Sequence[Jump]) -> tuple[list[Jump], list[tuple[int, int]]]:
     """Return the jumps that last, and where a jump is taken back at once (first sample, end)."""
     lasting: list[Jump] = []
     alone: list[tuple[int, int]] = []
-    place = 0
-    while place < len(jumps):
-        jump = jumps[place]
-        back = jumps[place + 1] if place + 1 < len(jumps) else None
+    index = 0
+    while index < len(jumps):
+        jump = jumps[index]
+        back = jumps[index + 1] if index + 1 < len(jumps) else None
         if (
             back is not None
             and back.row - jump.row <= _ALONE
             and back.turns * back.turn == -jump.turns * jump.turn
         ):
             alone.append((jump.row, back.row))
-            place += 2
+            index += 2
             continue
         lasting.append(jump)
-        place += 1
+        index += 1
     return lasting, alone
 
 

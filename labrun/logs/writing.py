@@ -42,15 +42,15 @@ def write_recording(
     """
     require_free(folder)
     columns = [
-        place
-        for place, (wanted, has) in enumerate(zip(table.wanted, table.has, strict=True))
+        index
+        for index, (wanted, has) in enumerate(zip(table.wanted, table.has, strict=True))
         if has or wanted.kind == "input"
     ]
-    names = [table.wanted[place].channel for place in columns]
+    names = [table.wanted[column].channel for column in columns]
     lines = [f"# {remark}" for remark in remarks]
     lines += [f"experiment = {json.dumps(name)}"]
-    for place in columns:
-        wanted = table.wanted[place]
+    for column in columns:
+        wanted = table.wanted[column]
         lines += [f"[channels.{wanted.channel}]", f'kind = "{wanted.kind}"', f'unit = "{wanted.unit}"']
         if wanted.goal:
             lines += ['between = "hold"']

@@ -119,8 +119,8 @@ class Onlooker:
     def read(self, what: str) -> float | str:
         """Return what would be typed."""
         self.look()
-        found: float | str = getattr(self._scene, "answer")(what)  # noqa: B009  (a scene may have none)
-        return found
+        answer: float | str = getattr(self._scene, "answer")(what)  # noqa: B009  (a scene may have none)
+        return answer
 
 
 class Asking:
@@ -214,14 +214,14 @@ class Asking:
         """Return the lines that were typed; `before` is the stored trial whose lines may be typed anew."""
         typed: list[str] = []
         while True:
-            place = len(typed)
-            if place == len(names):
-                said = ", ".join(f"{name} = {text}" for name, text in zip(names, typed, strict=True))
-                if self._answer(f"{about}: {said}", _KEEP, _kept) == BACK:
+            count = len(typed)
+            if count == len(names):
+                message = ", ".join(f"{name} = {text}" for name, text in zip(names, typed, strict=True))
+                if self._answer(f"{about}: {message}", _KEEP, _kept) == BACK:
                     self._take_back(index, names, typed)
                     continue
                 return typed
-            question = self._questions[names[place]]
+            question = self._questions[names[count]]
             first = _BEFORE if before is not None else ""
             hint = "back: the answer before was wrong." if typed else first
             answer = self._answer(f"{about}: {question.question}", hint, question.number)

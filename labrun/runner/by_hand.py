@@ -125,8 +125,8 @@ class Mountings:
         rounds = 1 if self._table is None else self._table.mountings
         for turn in range(rounds):
             index = turn * _ROUND + trial_index
-            for place in block_order(range(len(blocks)), order, seed=seed, trial_index=index):
-                block = blocks[place] if turn == rounds - 1 else replace(blocks[place], last=())
+            for block_index in block_order(range(len(blocks)), order, seed=seed, trial_index=index):
+                block = blocks[block_index] if turn == rounds - 1 else replace(blocks[block_index], last=())
                 if tuple(block):
                     self._coming.append(block)
 
@@ -205,11 +205,11 @@ class Mountings:
             raise ValueError("nothing was mounted before that could be taken back")
         if not number:
             return self._mounted[-1]
-        found = self._numbered(int(number))
-        if found is None:
+        meant = self._numbered(int(number))
+        if meant is None:
             known = ", ".join(str(item.number) for item in self._mounted)
             raise ValueError(f"there is no mounting {number.strip()} to go back to; there are {known}")
-        return found
+        return meant
 
     def _numbered(self, number: int) -> Mounting | None:
         return next((item for item in self._mounted if item.number == number), None)

@@ -49,20 +49,24 @@ def worn_before(runs: Iterable[Path], table: DamageTable | None, by_hand: ByHand
     has other names, says nothing.
     """
     names = _names(table, by_hand)
-    found: dict[_Specimen, Worn] = {}
+    worns: dict[_Specimen, Worn] = {}
     if not names:
         return []
     for path in runs:
         try:
             with open_run(path) as run:
-                outcomes = [one for one in run.outcomes if one.damage and names <= one.condition.keys()]
+                outcomes = [
+                    outcome
+                    for outcome in run.outcomes
+                    if outcome.damage and names <= outcome.condition.keys()
+                ]
         except LabrunError:
             continue
-        for one in outcomes:
-            specimen = {name: one.condition[name] for name in sorted(names)}
-            by = f"trial {one.index} of {path.parent.name}/{path.name}"
-            found.setdefault(condition_key(specimen), Worn(specimen, one.damage, by))
-    return list(found.values())
+        for outcome in outcomes:
+            specimen = {name: outcome.condition[name] for name in sorted(names)}
+            by = f"trial {outcome.index} of {path.parent.name}/{path.name}"
+            worns.setdefault(condition_key(specimen), Worn(specimen, outcome.damage, by))
+    return list(worns.values())
 
 
 def _names(table: DamageTable | None, by_hand: ByHand | None) -> frozenset[str]:
@@ -78,14 +82,14 @@ def worn_specimens(experiment: Experiment, rig: Rig, folder: RunFolder) -> list[
     table = experiment.damage
     if table is None or table.fresh or rig.dry_run or rig.emulated:
         return []
-    known = next((one["worn"] for one in folder.journal.events() if one["event"] == _WORN), None)
+    known = next((event["worn"] for event in folder.journal.events() if event["event"] == _WORN), None)
     if known is not None:
-        return [Worn(**one) for one in known]
+        return [Worn(**record) for record in known]
     earlier = [
-        one for one in all_runs(folder.path.parent.parent) if one != folder.path and _on_the_bench(one)
+        run for run in all_runs(folder.path.parent.parent) if run != folder.path and _on_the_bench(run)
     ]
     worn = worn_before(earlier, table, experiment.by_hand)
-    folder.journal.append(_WORN, worn=[asdict(one) for one in worn])
+    folder.journal.append(_WORN, worn=[asdict(specimen) for specimen in worn])
     return worn
 
 
@@ -113,7 +117,7 @@ class Damage:
     def __init__(self, table: DamageTable | None, by_hand: ByHand | None, worn: Sequence[Worn] = ()) -> None:
         self._table = table
         self._names = _names(table, by_hand)
-        self._worn = {condition_key(one.specimen): one for one in worn}
+        self._worn = {condition_key(specimen.specimen): specimen for specimen in worn}
         self._by: dict[_Specimen, TrialOutcome] = {}
 
     def would(self, condition: Condition) -> bool:
@@ -143,9 +147,9 @@ class Damage:
         if not outcome.damage or specimen in self._by:
             return ""
         planned = outcome.damage == PAST
-        told = planned and any(one.damage == PAST for one in self._by.values())
+        is_damaged = planned and any(o.damage == PAST for o in self._by.values())
         self._by[specimen] = outcome
-        if told:
+        if is_damaged:
             return ""
         who = condition_text(dict(specimen)) or "what is measured"
         return (
@@ -162,10 +166,10 @@ class Damage:
         """Return a sentence on each specimen of these conditions that an earlier run left damaged."""
         wanted = dict.fromkeys(self._specimen(condition) for condition in conditions)
         return [
-            f"{condition_text(dict(one))} is {self._worn[one].damage} since {self._worn[one].by}; "
+            f"{condition_text(dict(fromkey))} is {self._worn[fromkey].damage} since {self._worn[fromkey].by}; "
             "nothing is measured on it"
-            for one in wanted
-            if one in self._worn
+            for fromkey in wanted
+            if fromkey in self._worn
         ]
 
     def forget(self, mounting: int) -> None:

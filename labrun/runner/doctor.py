@@ -259,7 +259,7 @@ def _ask_at(port: str, probes: Mapping[str, Callable[[str], Identity | None]]) -
 
 
 def _probes() -> Mapping[str, Callable[[str], Identity | None]]:
-    found = {}
+    probes = {}
     for entry in installed(_GROUP):
         if entry.name.startswith(STAND_IN):
             continue
@@ -268,8 +268,8 @@ def _probes() -> Mapping[str, Callable[[str], Identity | None]]:
         except PluginError:  # told by the look at the plugins
             continue
         if probe is not None:
-            found[entry.name] = probe
-    return found
+            probes[entry.name] = probe
+    return probes
 
 
 def _about(name: str, remark: Remark) -> Remark:

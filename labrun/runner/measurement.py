@@ -44,7 +44,9 @@ class ObjectiveEvaluation:
     @property
     def questions(self) -> dict[str, Asked]:
         """The objectives that a person answers."""
-        return {name: one for name, one in self._objectives.items() if isinstance(one, Asked)}
+        return {
+            name: objective for name, objective in self._objectives.items() if isinstance(objective, Asked)
+        }
 
     def evaluate(
         self,
@@ -72,9 +74,9 @@ class ObjectiveEvaluation:
             except LabrunError as error:
                 raise ObjectiveError(f"objective {name} of {channel}: {error}") from error
             except Exception as error:  # a third party's own: it costs the trial, never what was recorded
-                place = _place(objective, error)
-                cause = f"{type(error).__name__}: {error} ({place})"
-                raised = f"{name}: {type(error).__name__} ({place})"
+                location = _place(objective, error)
+                cause = f"{type(error).__name__}: {error} ({location})"
+                raised = f"{name}: {type(error).__name__} ({location})"
                 raise ObjectiveError(f"objective {name} of {channel}: {cause}", raised=raised) from error
             if not math.isfinite(value):
                 raise ObjectiveError(f"objective {name} of {channel} is {value}, not a finite number")
@@ -88,18 +90,22 @@ class ObjectiveEvaluation:
         if self._trial.average is None:
             return {}
         signals = self._seen(measured, motion, condition)
-        known = {n: one for n, one in self._objectives.items() if isinstance(one, Truncated)}
-        found = {name: one.truncation(signals) for name, one in known.items()}
-        return {name: bound for name, bound in found.items() if bound > 0.0}
+        known = {
+            n: objective for n, objective in self._objectives.items() if isinstance(objective, Truncated)
+        }
+        truncations = {name: objective.truncation(signals) for name, objective in known.items()}
+        return {name: bound for name, bound in truncations.items() if bound > 0.0}
 
     def remarks(
         self, measured: Mapping[str, Signals | LongSignals], motion: TrialMotion, condition: Condition
     ) -> list[str]:
         """Return what objectives say beside their numbers, see `Remarking`."""
-        known = {n: one for n, one in self._objectives.items() if isinstance(one, Remarking)}
+        known = {
+            n: objective for n, objective in self._objectives.items() if isinstance(objective, Remarking)
+        }
         signals = self._seen(measured, motion, condition)
-        found = {name: one.remark(signals) for name, one in known.items()}
-        return [f"objective {name}: {text}" for name, text in found.items() if text]
+        remarks = {name: objective.remark(signals) for name, objective in known.items()}
+        return [f"objective {name}: {text}" for name, text in remarks.items() if text]
 
     def _seen(
         self, measured: Mapping[str, Signals | LongSignals], motion: TrialMotion, condition: Condition

@@ -45,7 +45,7 @@ class Envelope:
 
     def excess(self, joints: tuple[str, ...], limits: Limits) -> list[Excess]:
         """Return what of a device's limits these joints may leave."""
-        found = []
+        excess = []
         for joint in joints:
             number = self.joints.index(joint)
             if limits.angle_deg is not None:
@@ -54,12 +54,12 @@ class Envelope:
                     (self.high_deg[number], limits.angle_deg[1], self.high_deg[number] > limits.angle_deg[1]),
                 ):
                     if beyond and abs(value - bound) > _TOLERANCE * max(1.0, abs(bound)):
-                        found.append(Excess(f"worst angle of {joint}", float(value), bound, "deg", 0.0))
+                        excess.append(Excess(f"worst angle of {joint}", float(value), bound, "deg", 0.0))
             most = limits.speed_deg_s
             speed = float(self.speed_deg_s[number])
             if most is not None and speed > most * (1 + _TOLERANCE):
-                found.append(Excess(f"worst speed of {joint}", speed, most, "deg/s", 0.0))
-        return found
+                excess.append(Excess(f"worst speed of {joint}", speed, most, "deg/s", 0.0))
+        return excess
 
 
 def envelope(
@@ -363,15 +363,15 @@ class MotionMaker:
         moves = dict(
             zip(trajectory.joints, np.ptp(trajectory.angle_rad, axis=0) > _NEGLIGIBLE_RAD, strict=True)
         )
-        found = {joint: value for joint, value in known.items() if joint == own or moves.get(joint, False)}
-        slowest = own if own is not None else min(found, key=lambda joint: found[joint], default=None)
+        values = {joint: value for joint, value in known.items() if joint == own or moves.get(joint, False)}
+        slowest = own if own is not None else min(values, key=lambda joint: values[joint], default=None)
         if slowest is None:
-            return found, ()
-        needed_s = (1 + self._trial.discard_cycles) / found[slowest]
+            return values, ()
+        needed_s = (1 + self._trial.discard_cycles) / values[slowest]
         if needed_s <= counts_s * (1 + _WHOLE):
-            return found, ()
+            return values, ()
         what = f"one cycle of {slowest} after the discarded ones, against what counts of the recording,"
-        return found, (Excess(what, needed_s, max(counts_s, 0.0), "s", max(counts_s, 0.0)),)
+        return values, (Excess(what, needed_s, max(counts_s, 0.0), "s", max(counts_s, 0.0)),)
 
     def envelope(self, condition: Condition) -> Envelope | None:
         """Return the worst that closed loops may make of a condition's motion; None without loops."""

@@ -378,31 +378,31 @@ class Planner:
             raise PlanError(f"{condition_text(condition)}: {error}") from error
 
     def _excess(self, motion: TrialMotion, worst: Envelope | None) -> list[Excess]:
-        found = list(motion.excess)
+        excess = list(motion.excess)
         for name, actuator in self._rig.actuators.items():
             joints = tuple(joint for joint in actuator.joints if joint in motion.trajectory.joints)
             if joints and worst is not None:  # the motion itself is one of those that the loops may ask for
-                found += worst.excess(joints, self._rig.limits[name])
+                excess += worst.excess(joints, self._rig.limits[name])
             elif joints:
-                found += self._rig.limits[name].trajectory_excess(motion.trajectory.only(joints))
+                excess += self._rig.limits[name].trajectory_excess(motion.trajectory.only(joints))
         if motion.travel is not None:
             limits = self._rig.limits[motion.travel.device]
-            found += limits.travel_excess(motion.travel.to_m, motion.travel.speed_m_s)
-        return found
+            excess += limits.travel_excess(motion.travel.to_m, motion.travel.speed_m_s)
+        return excess
 
     def _fixed_excess(self) -> list[ConditionExcess]:
         """Return what every trial would break, whatever its condition: the safe pose, the carriage's way back."""
-        found: list[Excess] = []
+        excesses: list[Excess] = []
         trial = self._experiment.trial
         for joint, angle_deg in trial.safe_pose_deg.items():
             bounds = self._rig.limits[self._rig.joints[joint]].angle_deg
             if bounds is not None and not bounds[0] <= angle_deg <= bounds[1]:
                 bound = bounds[1] if angle_deg > bounds[1] else bounds[0]
-                found.append(Excess(f"safe pose of {joint}", angle_deg, bound, "deg", 0.0))
+                excesses.append(Excess(f"safe pose of {joint}", angle_deg, bound, "deg", 0.0))
         if trial.carriage is not None:
             limits = self._rig.limits[trial.carriage.device]
-            found += limits.travel_excess(float(trial.carriage.from_m), trial.carriage.return_speed_m_s)
-        return [ConditionExcess({"trial": "every"}, tuple(found))] if found else []
+            excesses += limits.travel_excess(float(trial.carriage.from_m), trial.carriage.return_speed_m_s)
+        return [ConditionExcess({"trial": "every"}, tuple(excesses))] if excesses else []
 
     def _trial_s(self, motion: TrialMotion) -> float:
         """Return how long one trial takes, with moves from and to the safe pose (or zero)."""

@@ -217,13 +217,13 @@ class _Watched(SampleCollector):
             if block is None or not len(block):
                 continue
             channels = self.bench.rig.sensors[device].channels
-            place = next(index for index, one in enumerate(channels) if one.name == channel)
-            values = block.values[:, place] - self._tare.get(name, 0.0)
+            column = next(index for index, info in enumerate(channels) if info.name == channel)
+            values = block.values[:, column] - self._tare.get(name, 0.0)
             left = (values < low) | (values > high)
             if left.any():
                 first = int(np.argmax(left))
                 raise _LeftError(
-                    f"{name} = {outside_text(float(values[first]), low, high)} {channels[place].unit} is outside "
+                    f"{name} = {outside_text(float(values[first]), low, high)} {channels[column].unit} is outside "
                     f"{low:g} ... {high:g}",
                     after=bool(block.host_time_s[first] > self.ends_s),
                 )
@@ -233,7 +233,7 @@ def guard_excesses(experiment: Experiment, motions: MotionMaker, condition: Cond
     """Return what a candidate's motion would break of the joint angles that its search is guarded to."""
     if experiment.cmaes is None:
         return []
-    found = []
+    excesses = []
     trajectory = motions.motion(condition).trajectory
     for joint, (low, high) in experiment.cmaes.guard.joints_deg.items():
         angle_deg = np.degrees(trajectory.angle_rad[:, trajectory.joints.index(joint)])
@@ -242,7 +242,7 @@ def guard_excesses(experiment: Experiment, motions: MotionMaker, condition: Cond
         if beyond[worst] > 1e-9:
             value = float(angle_deg[worst])
             bound = high if value > high else low
-            found.append(
+            excesses.append(
                 Excess(f"guarded angle of {joint}", value, bound, "deg", float(trajectory.time_s[worst]))
             )
-    return found
+    return excesses

@@ -115,12 +115,12 @@ def port_of(settings: BaseModel) -> str | None:
 
 def ports_of(settings: BaseModel) -> list[str]:
     """Return what only one run at a time may use: every port of a device's settings, serial or not, and its host."""
-    found: list[str] = []
+    names: list[str] = []
     for name, field in type(settings).model_fields.items():
         if name in ("port", "host") or "port" in field.metadata or _holds_port(field.annotation):
             value = getattr(settings, name)
-            found += [value] if isinstance(value, str) else value if isinstance(value, list | tuple) else []
-    return [port for port in found if isinstance(port, str) and port]
+            names += [value] if isinstance(value, str) else value if isinstance(value, list | tuple) else []
+    return [port for port in names if isinstance(port, str) and port]
 
 
 def _holds_port(annotation: Any) -> bool:
@@ -152,8 +152,8 @@ def missing_ports(settings: Mapping[str, BaseModel]) -> list[str]:
             known = (
                 f"ports of this machine: {', '.join(there)}" if there else "this machine has no serial port"
             )
-            beside = f"; {near} is there" if near else ""
-            problems.append(f"device {device}: port {port} does not exist{beside} ({known})")
+            text = f"; {near} is there" if near else ""
+            problems.append(f"device {device}: port {port} does not exist{text} ({known})")
     return problems
 
 

@@ -214,13 +214,13 @@ class Rig:
 
     def identities(self) -> dict[str, Identity]:
         """Ask every device what it is; DeviceError if one cannot say."""
-        found: dict[str, Identity] = {}
+        identities: dict[str, Identity] = {}
         for name, device in self.devices.items():
             with self.calls(name, "identify"):
-                found[name] = device.identify()
-            if not isinstance(found[name], Identity):
-                raise wrong_answer(name, "identify", found[name], "an Identity")
-        return found
+                identities[name] = device.identify()
+            if not isinstance(identities[name], Identity):
+                raise wrong_answer(name, "identify", identities[name], "an Identity")
+        return identities
 
     def arm(self) -> None:
         """Tell the watchdog that actuators may move from now on."""

@@ -212,7 +212,7 @@ class Session:
         rule = repeats if repeats is not None else self._experiment.trial.repeats
         if self._expected is None:
             self.expect(None)
-        found = [Measurement(condition, role, ()) for condition in conditions]
+        measurements = [Measurement(condition, role, ()) for condition in conditions]
         self._decided = self.index
         self._tell_worn(conditions)
         with self._stopping_when_asked():
@@ -221,9 +221,9 @@ class Session:
             )
             while mounting := self._hands.next(self.index):
                 self._mounting = mounting.number
-                self._measure_block(mounting, found, rule, order)
+                self._measure_block(mounting, measurements, rule, order)
             self._check_stop()
-        return [self._as_marked(item) for item in found]
+        return [self._as_marked(item) for item in measurements]
 
     @contextmanager
     def _stopping_when_asked(self) -> Iterator[None]:
@@ -252,7 +252,11 @@ class Session:
         known = self._damage.known(conditions)
         for text in known:
             self._progress.note(text)
-        if known and not self.outcomes and not any(self._damage.is_whole(one) for one in conditions):
+        if (
+            known
+            and not self.outcomes
+            and not any(self._damage.is_whole(condition) for condition in conditions)
+        ):
             raise ExperimentError(
                 f"nothing is left to measure: {known[0]}",
                 hint="name new specimens by names of their own; or, where they go by the old names, "
@@ -260,33 +264,34 @@ class Session:
             )
 
     def _measure_block(
-        self, mounting: Mounting, found: list[Measurement], rule: RepeatRule, order: Order
+        self, mounting: Mounting, measurements: list[Measurement], rule: RepeatRule, order: Order
     ) -> None:
         """Measure the conditions of one mounting, in place, until each has as many repeats as the rule asks for."""
         for part in (mounting.positions, mounting.last):
-            while positions := self._needed(part, mounting.number, found, rule):
+            while positions := self._needed(part, mounting.number, measurements, rule):
                 for position in block_order(positions, order, seed=self._seed, trial_index=self.index):
-                    if not self._is_whole(found[position]):
+                    if not self._is_whole(measurements[position]):
                         continue
                     if not self._hands.in_place(mounting, self.index, stored=self._is_stored(self.index)):
                         return
-                    if found[position].role == "measure":
+                    if measurements[position].role == "measure":
                         self._reference_if_due()
-                    found[position] = self._repeat(found[position])
+                    measurements[position] = self._repeat(measurements[position])
                 if rule.min < rule.max or self._experiment.trial.outliers.rule != "none":
                     self._decided = self.index
                 for position in part:
-                    self._reject_outliers(found[position].of_mounting(mounting.number))
-                    found[position] = self._as_marked(found[position])
+                    self._reject_outliers(measurements[position].of_mounting(mounting.number))
+                    measurements[position] = self._as_marked(measurements[position])
 
     def _needed(
-        self, part: Sequence[int], mounting: int | None, found: Sequence[Measurement], rule: RepeatRule
+        self, part: Sequence[int], mounting: int | None, measurements: Sequence[Measurement], rule: RepeatRule
     ) -> list[int]:
         """Return the positions that want another repeat in this mounting, and whose specimen can still give one."""
         return [
             position
             for position in part
-            if self._is_whole(found[position]) and needs_another(found[position].of_mounting(mounting), rule)
+            if self._is_whole(measurements[position])
+            and needs_another(measurements[position].of_mounting(mounting), rule)
         ]
 
     def _is_whole(self, measurement: Measurement) -> bool:
@@ -432,8 +437,8 @@ class Session:
     def _note(self, outcome: TrialOutcome) -> TrialOutcome:
         self.index += 1
         self.outcomes.append(outcome)
-        if told := self._damage.take(outcome):
-            self._progress.note(told)
+        if message := self._damage.take(outcome):
+            self._progress.note(message)
         self._previous = outcome
         return outcome
 

@@ -175,24 +175,24 @@ class StillnessMonitor:
             window.add(blocks[device])
         if now_s < self._due_s:
             return None
-        found = self.look_back(now_s, 1.0)
-        if found is not None:
+        back = self.look_back(now_s, 1.0)
+        if back is not None:
             self._due_s = now_s + self._step_s * (1 - 1e-9)
-        return found
+        return back
 
     def look_back(self, now_s: float, lengths: float) -> Stillness | None:
         """Judge the last `lengths` hold times as one window; None while they are not full."""
         parts = [window.judge(now_s, lengths) for window in self._windows.values()]
-        found = [part for part in parts if part is not None]
-        if len(found) < len(parts):
+        known_parts = [part for part in parts if part is not None]
+        if len(known_parts) < len(parts):
             return None
-        if len(found) == 1:  # one device: in order already
-            return found[0]
+        if len(known_parts) == 1:  # one device: in order already
+            return known_parts[0]
         back = np.argsort(self._order)
         return Stillness(
-            np.concatenate([part.spread for part in found])[back],
-            np.concatenate([part.drift for part in found])[back],
-            np.concatenate([part.resolution for part in found])[back],
+            np.concatenate([part.spread for part in known_parts])[back],
+            np.concatenate([part.drift for part in known_parts])[back],
+            np.concatenate([part.resolution for part in known_parts])[back],
         )
 
 
@@ -231,14 +231,14 @@ class SettleDetector:
 
     def feed(self, blocks: Mapping[str, Samples], now_s: float) -> bool:
         """Take new samples; return whether the bench has come to rest."""
-        found = self._monitor.update(blocks, now_s)
-        if found is None:
+        update = self._monitor.update(blocks, now_s)
+        if update is None:
             return self.settled
-        share = np.maximum(found.spread / self._spread_bound, found.drift / self._drift_bound)
+        share = np.maximum(update.spread / self._spread_bound, update.drift / self._drift_bound)
         self.worst = int(np.argmax(share))
         self.time_s.append(now_s - self.start_s)
-        self.spread.append(float(found.spread[self.worst]))
-        self.drift.append(float(found.drift[self.worst]))
+        self.spread.append(float(update.spread[self.worst]))
+        self.drift.append(float(update.drift[self.worst]))
         if share[self.worst] > 1.0:
             self._quiet_since_s = None
         elif self._quiet_since_s is None:
@@ -249,11 +249,11 @@ class SettleDetector:
         return self.settled
 
     def _still_over_all(self, now_s: float) -> bool:
-        found = self._monitor.look_back(now_s, _HISTORY)
-        if found is None:
+        back = self._monitor.look_back(now_s, _HISTORY)
+        if back is None:
             return False
         # Drift is counted per hold time, whatever the window it was found in.
-        quiet = (found.spread <= self._spread_bound) & (found.drift / _HISTORY <= self._drift_bound)
+        quiet = (back.spread <= self._spread_bound) & (back.drift / _HISTORY <= self._drift_bound)
         return bool(np.all(quiet))
 
 
@@ -266,9 +266,9 @@ class BaselineMeter:
 
     def feed(self, blocks: Mapping[str, Samples], now_s: float) -> None:
         """Take new samples."""
-        found = self._monitor.update(blocks, now_s)
-        if found is not None:
-            self._found.append(found)
+        update = self._monitor.update(blocks, now_s)
+        if update is not None:
+            self._found.append(update)
 
     def bounds(self) -> Bounds | None:
         """Return the baseline; None if no window was full.

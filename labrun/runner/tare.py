@@ -58,7 +58,7 @@ def _has_unknown_zero(channel: str, rig: Rig) -> bool:
     sensor = rig.sensors.get(device)
     if sensor is None or getattr(sensor, "zero_known", False):
         return False
-    return any(one.name == column and one.unit in _FORCE_UNITS for one in sensor.channels)
+    return any(info.name == column and info.unit in _FORCE_UNITS for info in sensor.channels)
 
 
 def tare(bench: Bench, rule: Tare | None) -> dict[str, float]:

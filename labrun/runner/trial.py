@@ -291,14 +291,14 @@ class TrialRunner:
         if motion is None or recording is None or not draft.recorded:
             return raised
         try:
-            found = recording.objectives
-            if found is None:
+            objectives = recording.objectives
+            if objectives is None:
                 signals = writer.signals(outcome.started_s, outcome.tare)
-                found = self._evaluation.evaluate(signals, motion, outcome.condition, draft.answers)
+                objectives = self._evaluation.evaluate(signals, motion, outcome.condition, draft.answers)
                 draft.know(truncation=self._evaluation.truncation(signals, motion, outcome.condition))
                 for text in self._evaluation.remarks(signals, motion, outcome.condition):
                     recording.remark(text)
-            draft.know(objectives=dict(found))
+            draft.know(objectives=dict(objectives))
         except ObjectiveError as error:
             draft.know(status="failed", reason=str(error).splitlines()[0])
             raised = error.raised

@@ -100,13 +100,13 @@ class CycleLog:
 
     def kept(self) -> list[tuple[str, Samples]]:
         """Return the samples that were kept by an earlier session, by device, in order; once."""
-        found = []
+        results = []
         for event in self._kept:
             for name, (device_s, host_s, values) in event.items():
                 rows = np.array(values, dtype=float).reshape(len(device_s), -1)
-                found.append((name, Samples(np.array(device_s), np.array(host_s), rows)))
+                results.append((name, Samples(np.array(device_s), np.array(host_s), rows)))
         self._kept = []
-        return found
+        return results
 
     def remove(self) -> None:
         """Remove the file: the trial is stored."""
@@ -204,7 +204,9 @@ class UntilRecorder:
         self._folder = folder
         self._seed = seed
         self._phase = phase
-        self._tables = {name: one for name, one in experiment.objectives.items() if one.plugin != CYCLES}
+        self._tables = {
+            name: objective for name, objective in experiment.objectives.items() if objective.plugin != CYCLES
+        }
         self._counts = [name for name in experiment.objectives if name not in self._tables]
         self._criterion = Criterion.of(until.when, list(self._tables))
         self._evaluation = ObjectiveEvaluation(experiment.model_copy(update={"objectives": self._tables}))
@@ -251,10 +253,10 @@ class UntilRecorder:
             return True  # stopped between the last cycle and its storing
         while log.cycles < until.max_cycles:
             sparing = until.judge_every > 1 and log.cycles >= until.keep_every
-            place = log.cycles % until.keep_every
-            count = min(until.keep_every - place, until.max_cycles - log.cycles)
+            slot = log.cycles % until.keep_every
+            count = min(until.keep_every - slot, until.max_cycles - log.cycles)
             if sparing:
-                count = min(count, until.judge_every - place % until.judge_every)
+                count = min(count, until.judge_every - slot % until.judge_every)
             start_s = bench.clock.now() + LEAD_S
             bench.follow(_beginning(recording.motion.trajectory, count * period_s), start_s)
             if self._stretch(recording, log, start_s, period_s, 1 if sparing else count):
@@ -285,12 +287,12 @@ class UntilRecorder:
                     streams[name].append(block)
 
         course = _beginning(recording.motion.trajectory, period_s)
-        one = replace(recording.motion, trajectory=course, duration_s=period_s, cycles=1)
+        motion = replace(recording.motion, trajectory=course, duration_s=period_s, cycles=1)
         for number in range(count):
             begun_s = start_s + number * period_s
             bench.watch(begun_s + period_s + TAIL_S, take)
             signals = {name: stream.cycle(begun_s, recording.tare) for name, stream in streams.items()}
-            values = self._evaluation.evaluate(signals, one, recording.condition)
+            values = self._evaluation.evaluate(signals, motion, recording.condition)
             kept = self._kept(recording, log, signals, begun_s, period_s)
             log.append(values, kept)
             if log.cycles % _TOLD_EVERY == 0:
@@ -330,8 +332,8 @@ class UntilRecorder:
             return {}
         kept = {}
         moved_s = log.head["started_s"] + log.cycles * period_s - begun_s
-        for name, found in signals.items():
-            inside = found.between(0.0, np.nextafter(period_s, 0.0))
+        for name, signal in signals.items():
+            inside = signal.between(0.0, np.nextafter(period_s, 0.0))
             if inside.device_time_s is None or inside.host_time_s is None or not len(inside):
                 continue
             kept[name] = Samples(inside.device_time_s + moved_s, inside.host_time_s + moved_s, inside.values)

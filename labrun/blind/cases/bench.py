@@ -24,7 +24,7 @@ class Drive:
         self.step_s = float(time_s[1] - time_s[0])
         self.count, self.samples, self.trials = inputs.shape
         self.inputs = inputs
-        self._linear = np.array([one == "linear" for one in between], dtype=bool)
+        self._linear = np.array([kind == "linear" for kind in between], dtype=bool)
 
     def at(self, t: float, inside: float) -> FloatArray:
         """Return the inputs (inputs, trials) at a time, as seen from `inside`, which tells the side of a jump."""
@@ -84,50 +84,52 @@ class Bench:
     ) -> None:
         self.plant = plant
         self.time_s = programme.time_s
-        self.drive = Drive(programme.time_s, programme.inputs, [one.between for one in plant.inputs])
+        self.drive = Drive(programme.time_s, programme.inputs, [signal.between for signal in plant.inputs])
         self.trials = len(programme.conditions)
         self.p = plant.values(programme.conditions, parameters)
         self.start = plant.start(programme.conditions) if start is None else start
         self.hidden = tuple(hidden)
         self.parts = self._sort(hidden)
         self.worked_out = {
-            row: self._work_out(one, row) for one, _, row in self.parts.inputs if one.mechanism.prepare
+            row: self._work_out(hidden_part, row)
+            for hidden_part, _, row in self.parts.inputs
+            if hidden_part.mechanism.prepare
         }
         self.zero = {site.name: np.zeros(self.trials) for site in plant.sites}
 
     def _sort(self, hidden: Sequence[Hidden]) -> _Parts:
         parts = _Parts([], [], [], 0)
         names = {
-            "input": [one.name for one in self.plant.inputs],
-            "output": [one.name for one in self.plant.outputs],
+            "input": [signal.name for signal in self.plant.inputs],
+            "output": [output.name for output in self.plant.outputs],
         }
-        for one in hidden:
-            rows = slice(parts.states, parts.states + one.mechanism.states)
+        for effect in hidden:
+            rows = slice(parts.states, parts.states + effect.mechanism.states)
             parts.states = rows.stop
-            kind = one.mechanism.kind
+            kind = effect.mechanism.kind
             if kind == "input":
-                parts.inputs.append((one, rows, names[kind].index(one.mechanism.site)))
+                parts.inputs.append((effect, rows, names[kind].index(effect.mechanism.site)))
             elif kind == "output":
-                parts.outputs.append((one, rows, names[kind].index(one.mechanism.site)))
+                parts.outputs.append((effect, rows, names[kind].index(effect.mechanism.site)))
             else:
-                parts.joints.append((one, rows))
+                parts.joints.append((effect, rows))
         return parts
 
-    def _work_out(self, one: Hidden, row: int) -> Drive:
-        assert one.mechanism.prepare is not None
+    def _work_out(self, hidden: Hidden, row: int) -> Drive:
+        assert hidden.mechanism.prepare is not None
         step_s, signal = self.drive.fine(row, _FINE_PARTS)
-        prepared = one.mechanism.prepare(one.size, step_s, signal)
+        prepared = hidden.mechanism.prepare(hidden.size, step_s, signal)
         return Drive(step_s * np.arange(len(prepared), dtype=np.float64), prepared[None], ["linear"])
 
     def _drive(self, t: float, inside: float, z: FloatArray, dz: FloatArray) -> FloatArray:
         u = self.drive.at(t, inside)
         plain = u.copy() if self.parts.inputs else u
-        for one, rows, row in self.parts.inputs:
-            shift = one.mechanism.shift_s(one.size) if one.mechanism.shift_s else 0.0
+        for hidden_part, rows, row in self.parts.inputs:
+            shift = hidden_part.mechanism.shift_s(hidden_part.size) if hidden_part.mechanism.shift_s else 0.0
             now = self.drive.one(row, t - shift, inside - shift) if shift else u[row]
             if row in self.worked_out:
                 now = self.worked_out[row].one(0, t, t)
-            u[row], dz[rows] = one.apply(t, z[rows], now, plain)
+            u[row], dz[rows] = hidden_part.apply(t, z[rows], now, plain)
         return u
 
     def _forces(
@@ -137,12 +139,12 @@ class Bench:
             return self.zero
         force = {name: value.copy() for name, value in self.zero.items()}
         masses: list[tuple[str, FloatArray]] = []
-        for one, rows in self.parts.joints:
-            at = self.plant.at(one.mechanism.site, x, u, self.p)
-            f, dz[rows] = one.apply(t, z[rows], at)
-            force[one.mechanism.site] += f
-            if one.mechanism.mass:
-                masses.append((one.mechanism.site, one.mechanism.mass(one.size, at)))
+        for joint, rows in self.parts.joints:
+            at = self.plant.at(joint.mechanism.site, x, u, self.p)
+            f, dz[rows] = joint.apply(t, z[rows], at)
+            force[joint.mechanism.site] += f
+            if joint.mechanism.mass:
+                masses.append((joint.mechanism.site, joint.mechanism.mass(joint.size, at)))
         for site, mass in masses:
             row = self.plant.rate_row(site)
             without = self.plant.rates(x, u, self.p, force)[row]
@@ -166,11 +168,11 @@ class Bench:
         s = len(self.plant.states)
         if s:
             dy[:s] = self.plant.rates(x, u, self.p, force)
-        lagging = [one for one in self.parts.outputs if one[0].mechanism.states]
+        lagging = [output for output in self.parts.outputs if output[0].mechanism.states]
         if lagging:
             read = self.plant.read(x, u, self.p, force)
-            for one, rows, row in lagging:
-                _, dy[s:][rows] = one.apply(t, y[s:][rows], read[row], read)
+            for hidden_part, rows, row in lagging:
+                _, dy[s:][rows] = hidden_part.apply(t, y[s:][rows], read[row], read)
         return dy
 
     def read(self, times: FloatArray, states: Mapping[float, FloatArray]) -> FloatArray:
@@ -180,15 +182,15 @@ class Bench:
             result[:, index] = self._read_at(float(t), states[round(float(t), 9)])
         plain = result.copy() if self.parts.outputs else result
         s = len(self.plant.states)
-        for one, rows, row in self.parts.outputs:
-            shift = one.mechanism.shift_s(one.size) if one.mechanism.shift_s else 0.0
+        for hidden_part, rows, row in self.parts.outputs:
+            shift = hidden_part.mechanism.shift_s(hidden_part.size) if hidden_part.mechanism.shift_s else 0.0
             for index, t in enumerate(times):
                 state = states[round(float(t), 9)]
                 now = plain[row, index]
                 if shift:
                     late = max(float(t) - shift, 0.0)
                     now = self._read_at(late, states[round(late, 9)])[row]
-                result[row, index], _ = one.apply(float(t), state[s:][rows], now, plain[:, index])
+                result[row, index], _ = hidden_part.apply(float(t), state[s:][rows], now, plain[:, index])
         return result
 
     def _read_at(self, t: float, y: FloatArray) -> FloatArray:
@@ -202,7 +204,7 @@ class Bench:
         u = self.drive.at(0.0, 0.0)
         for _one, rows, row in self.parts.inputs:
             y[s:][rows] = u[row]
-        if any(one.mechanism.states for one, _, _ in self.parts.outputs):
+        if any(hidden_part.mechanism.states for hidden_part, _, _ in self.parts.outputs):
             read = self._read_at(0.0, y)
             for _one, rows, row in self.parts.outputs:
                 y[s:][rows] = read[row]
@@ -212,14 +214,14 @@ class Bench:
         """Return every time at which the integration stops: samples, late samples, readings, jumps."""
         end = float(self.time_s[-1])
         times = [self.time_s]
-        for one in self.hidden:
-            if one.mechanism.shift_s:
-                way = 1 if one.mechanism.kind == "input" else -1
-                times.append(self.time_s + way * one.mechanism.shift_s(one.size))
-            times.append(np.array(one.mechanism.jumps_s, dtype=np.float64))
+        for effect in self.hidden:
+            if effect.mechanism.shift_s:
+                way = 1 if effect.mechanism.kind == "input" else -1
+                times.append(self.time_s + way * effect.mechanism.shift_s(effect.size))
+            times.append(np.array(effect.mechanism.jumps_s, dtype=np.float64))
         joined: FloatArray = np.unique(np.round(np.concatenate(times), 9)).astype(np.float64)
         return joined[(joined >= 0) & (joined <= round(end, 9))]
 
     def fastest(self) -> float:
         """Return the fastest rate of what is hidden, 1/s."""
-        return max([one.mechanism.fastest(one.size) for one in self.hidden], default=0.0)
+        return max([effect.mechanism.fastest(effect.size) for effect in self.hidden], default=0.0)

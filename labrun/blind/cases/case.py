@@ -139,11 +139,11 @@ def _draw(kind: str, chosen: Chosen, rng: np.random.Generator, asked: Asked, zer
     share = float(np.exp(rng.uniform(np.log(7e-4), np.log(0.03))))
     if kind in ("effect", "pair", "outside"):
         share = min(share, _LARGEST_GAP_SHARE / aim)
-    noise = [replace(one, zero=round(zero, 3)) for one in draw_noise(rng, share * size, asked.noise)]
-    sensor = np.array([one.sd for one in noise])
+    noise = [replace(channel, zero=round(zero, 3)) for channel in draw_noise(rng, share * size, asked.noise)]
+    sensor = np.array([channel.sd for channel in noise])
     zeros = zero > 0.0
     projection = Projection(plant, recorded, plant.truth, sensor, zeros=zeros)
-    free = sum(one.tolerance != 0.0 for one in plant.parameters)
+    free = sum(parameter.tolerance != 0.0 for parameter in plant.parameters)
     scatter = float(np.exp(rng.uniform(np.log(0.002), np.log(0.02)))) if rng.random() < 0.5 else 0.0
     if scatter:
         moved = projection.scatter(np.full(free, scatter))
@@ -158,7 +158,9 @@ def _draw(kind: str, chosen: Chosen, rng: np.random.Generator, asked: Asked, zer
         ratio = float(np.mean(total / sensor))
         hidden.append(_sized(mechanism, plant, recorded, projection, target * ratio))
 
-    signatures = [projection.signature(fixed(Bench(plant, recorded, plant.truth, [one]))) for one in hidden]
+    signatures = [
+        projection.signature(fixed(Bench(plant, recorded, plant.truth, [effect]))) for effect in hidden
+    ]
     if len(hidden) == 2 and abs(alike(*signatures)) > _MOST_ALIKE:
         raise OutOfReachError
 
@@ -179,21 +181,21 @@ def _draw(kind: str, chosen: Chosen, rng: np.random.Generator, asked: Asked, zer
     answer = {
         "kind": kind,
         "causes": _causes(chosen, hidden, wrong),
-        "hidden": [_described(one) for one in hidden],
+        "hidden": [_described(effect) for effect in hidden],
         "bench": plant.name,
         "gap": {
             "aimed": aim if hidden or wrong else 0.0,
             "recalibrated": gap,
             "raw": size_of(left.raw, total),
-            "alone": [float(np.sqrt(np.mean(one**2)) * weighed) for one in signatures],
+            "alone": [float(np.sqrt(np.mean(signature**2)) * weighed) for signature in signatures],
         },
         "strength": strength_class(gap) if hidden or wrong else "none",
         "repeats": repeats,
         "conditions": conditions,
         "noise": {
             "colour": noise[0].colour,
-            "sensor_sd": {one.name: n.sd for one, n in zip(plant.outputs, noise, strict=True)},
-            "trial_sd": {one.name: float(s) for one, s in zip(plant.outputs, total, strict=True)},
+            "sensor_sd": {output.name: n.sd for output, n in zip(plant.outputs, noise, strict=True)},
+            "trial_sd": {output.name: float(s) for output, s in zip(plant.outputs, total, strict=True)},
             "correlation": noise[0].correlation,
             "zero_creep_share": noise[0].creep_share,
             "zero_by_trial": noise[0].zero,
@@ -209,15 +211,17 @@ def _draw(kind: str, chosen: Chosen, rng: np.random.Generator, asked: Asked, zer
 def _stated(plant: Plant, kind: str, rng: np.random.Generator) -> tuple[dict[str, float], str]:
     """Return the parameters as stated, and the name of the one that is far off, if any."""
     stated = {}
-    for one in plant.parameters:
-        if one.tolerance == "free":
-            value = one.true * 1.5 ** rng.uniform(-1, 1)
+    for parameter in plant.parameters:
+        if parameter.tolerance == "free":
+            value = parameter.true * 1.5 ** rng.uniform(-1, 1)
         else:
-            value = one.true * (1.0 + one.tolerance * float(np.clip(rng.standard_normal(), -2, 2)))
-        stated[one.name] = value if one.tolerance == 0.0 else float(f"{value:.4g}")
+            value = parameter.true * (
+                1.0 + parameter.tolerance * float(np.clip(rng.standard_normal(), -2, 2))
+            )
+        stated[parameter.name] = value if parameter.tolerance == 0.0 else float(f"{value:.4g}")
     if kind != "parameter":
         return stated, ""
-    known = [one for one in plant.parameters if one.tolerance not in ("free", 0.0)]
+    known = [parameter for parameter in plant.parameters if parameter.tolerance not in ("free", 0.0)]
     if not known:
         raise OutOfReachError
     wrong = known[rng.integers(len(known))]
@@ -232,7 +236,8 @@ def _held(plant: Plant, wrong: str) -> Plant:
         return plant
     held = copy.copy(plant)
     held.parameters = tuple(
-        replace(one, tolerance=0.0) if one.name == wrong else one for one in plant.parameters
+        replace(parameter, tolerance=0.0) if parameter.name == wrong else parameter
+        for parameter in plant.parameters
     )
     return held
 
@@ -268,22 +273,22 @@ def _causes(chosen: Chosen, hidden: list[Hidden], wrong: str) -> list[dict[str, 
     return [
         {
             "kind": "effect",
-            "effect": one.mechanism.effect,
-            "site": one.mechanism.site,
-            "site_kind": one.mechanism.kind,
+            "effect": effect.mechanism.effect,
+            "site": effect.mechanism.site,
+            "site_kind": effect.mechanism.kind,
         }
-        for one in hidden
+        for effect in hidden
     ]
 
 
-def _described(one: Hidden) -> dict[str, Any]:
+def _described(hidden: Hidden) -> dict[str, Any]:
     return {
-        "effect": one.mechanism.effect,
-        "site": one.mechanism.site,
-        "site_kind": one.mechanism.kind,
-        "form": one.mechanism.form,
-        "size": one.size,
-        "values": {key: float(value) for key, value in one.mechanism.values(one.size).items()},
+        "effect": hidden.mechanism.effect,
+        "site": hidden.mechanism.site,
+        "site_kind": hidden.mechanism.kind,
+        "form": hidden.mechanism.form,
+        "size": hidden.size,
+        "values": {key: float(value) for key, value in hidden.mechanism.values(hidden.size).items()},
     }
 
 
@@ -317,7 +322,7 @@ def _write(case: Case, name: str, folder: Path, rng: np.random.Generator) -> Non
 
 
 def _repeats(which: list[int]) -> list[int]:
-    return [which[:place].count(one) + 1 for place, one in enumerate(which)]
+    return [which[:index].count(kind) + 1 for index, kind in enumerate(which)]
 
 
 def _truth(case: Case, both: Programme, which: list[int], rng: np.random.Generator) -> FloatArray:
@@ -328,10 +333,10 @@ def _truth(case: Case, both: Programme, which: list[int], rng: np.random.Generat
         return outputs[:, :, which]
     programme = both.take(which)
     values = {
-        one.name: np.full(len(which), one.true)
-        if one.tolerance == 0.0
-        else one.true * (1.0 + case.scatter * rng.standard_normal(len(which)))
-        for one in plant.parameters
+        parameter.name: np.full(len(which), parameter.true)
+        if parameter.tolerance == 0.0
+        else parameter.true * (1.0 + case.scatter * rng.standard_normal(len(which)))
+        for parameter in plant.parameters
     }
     start = plant.start(programme.conditions)
     start = start * (1.0 + 0.5 * case.scatter * rng.standard_normal(start.shape))

@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _verify(given.verify)
     if given.out is None:
         parser.error("--out DIR is needed (or --verify DIR)")
-    if any(one is not None and one < 1 for one in (given.repeats, given.conditions)):
+    if any(number is not None and number < 1 for number in (given.repeats, given.conditions)):
         parser.error("--repeats and --conditions are 1 or more")
     if given.cases < 1 or given.first < 1 or given.workers < 1 or given.seed < 0:
         parser.error("--cases, --first and --workers are 1 or more, --seed is 0 or more")
@@ -86,8 +86,8 @@ def _make(folder: Path, seed: int, indices: range, given: argparse.Namespace) ->
         shutil.rmtree(making, ignore_errors=True)
         raise
     kinds = f", {given.only} alone" if given.only else ""
-    told = f"{len(indices)} answers, seed {seed}{kinds}; sha256 with salt, one by one in {folder / SEAL}"
-    print(f"seal {content['all']}  ({told})", flush=True)
+    message = f"{len(indices)} answers, seed {seed}{kinds}; sha256 with salt, one by one in {folder / SEAL}"
+    print(f"seal {content['all']}  ({message})", flush=True)
     return 0
 
 

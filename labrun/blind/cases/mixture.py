@@ -27,10 +27,10 @@ class Chosen:
 
 def kind_of(seed: int, index: int) -> str:
     """Return the kind of a case, whatever other cases are made."""
-    block, place = divmod(index, _BLOCK)
+    block, offset = divmod(index, _BLOCK)
     deck = [kind for kind, count in DECK.items() for _ in range(count)]
     order = np.random.default_rng([seed, 20211, block]).permutation(_BLOCK)
-    return deck[int(order[place])]
+    return deck[int(order[offset])]
 
 
 def stream_of(only: str | None) -> tuple[int, ...]:
@@ -52,13 +52,13 @@ def strength_class(gap: float) -> str:
 
 def places(plant: Plant) -> list[tuple[Kind, str, str]]:
     """Return every (site kind, effect, site) that may be hidden in a plant."""
-    found: list[tuple[Kind, str, str]] = []
+    sites: list[tuple[Kind, str, str]] = []
     for site in plant.sites:
-        found += [(site.kind, effect, site.name) for effect in site.effects]
+        sites += [(site.kind, effect, site.name) for effect in site.effects]
     for way, table in (("input", plant.input_effects), ("output", plant.output_effects)):
         for name, effects in table.items():
-            found += [(way, effect, name) for effect in effects]  # type: ignore[misc]
-    return found
+            sites += [(way, effect, name) for effect in effects]  # type: ignore[misc]
+    return sites
 
 
 def draw_plant(rng: np.random.Generator) -> Plant:
@@ -76,14 +76,14 @@ def choose(kind: str, rng: np.random.Generator) -> Chosen:
         while True:
             plant = draw_plant(rng)
             there = places(plant)
-            first, second = (there[one] for one in rng.choice(len(there), 2, replace=False))
+            first, second = (there[index] for index in rng.choice(len(there), 2, replace=False))
             # the same physics twice, or two filters of one signal, would be one cause to anyone
             if first[1] != second[1] and first[2] != second[2]:
                 return Chosen(plant, (first, second))
     wanted = list(FORMS)[rng.integers(len(FORMS))]
     for _ in range(_TRIES):
         plant = draw_plant(rng)
-        fitting = [one for one in places(plant) if one[:2] == wanted]
+        fitting = [location for location in places(plant) if location[:2] == wanted]
         if fitting:
             return Chosen(plant, (fitting[rng.integers(len(fitting))],))
     raise LookupError(f"no bench takes {wanted[1]} at a {wanted[0]}")
@@ -104,9 +104,9 @@ def _choose_outside(rng: np.random.Generator) -> Chosen:
                 continue
             return Chosen(plant, ((site.kind, name, site.name),), outside=True)
         name = list(OUTSIDE_SIGNALS)[rng.integers(len(OUTSIDE_SIGNALS))]
-        ways: list[tuple[Kind, str]] = [("output", one.name) for one in plant.outputs]
+        ways: list[tuple[Kind, str]] = [("output", output.name) for output in plant.outputs]
         if plant.states:
-            ways += [("input", one.name) for one in plant.inputs]
+            ways += [("input", signal.name) for signal in plant.inputs]
         way, signal = ways[rng.integers(len(ways))]
         return Chosen(plant, ((way, name, signal),), outside=True)
 
@@ -186,4 +186,4 @@ def draw_noise(
 
 def rescaled(noise: list[ChannelNoise], factor: float) -> list[ChannelNoise]:
     """Return the noise of all channels larger by a factor, to four digits."""
-    return [replace(one, sd=float(f"{one.sd * factor:.4g}")) for one in noise]
+    return [replace(channel, sd=float(f"{channel.sd * factor:.4g}")) for channel in noise]

@@ -106,7 +106,7 @@ class Programme:
         """Return some of the trials, possibly more than once."""
         index = list(which)
         return Programme(
-            self.time_s, [self.conditions[one] for one in index], self.inputs[:, :, index].copy()
+            self.time_s, [self.conditions[row] for row in index], self.inputs[:, :, index].copy()
         )
 
 
@@ -141,23 +141,24 @@ class Plant(ABC):
 
     def __post_init__(self) -> None:
         self._rates = self._function([self.equations[state] for state in self.states])
-        self._read = self._function([one.equation for one in self.outputs])
+        self._read = self._function([output.equation for output in self.outputs])
         self._at = {
-            one.name: self._function([one.coordinate, one.rate, one.load, one.stiffness or one.spring])
-            for one in self.sites
+            site.name: self._function([site.coordinate, site.rate, site.load, site.stiffness or site.spring])
+            for site in self.sites
         }
 
     def _function(self, equations: Sequence[str]) -> Callable[..., FloatArray]:
         """Return equations of the model file as one function of numpy arrays; an empty one is 0."""
         places = {name: f"x[{row}]" for row, name in enumerate(self.states)}
-        places |= {one.name: f"u[{row}]" for row, one in enumerate(self.inputs)}
+        places |= {signal.name: f"u[{row}]" for row, signal in enumerate(self.inputs)}
         places |= {
-            name: f"p['{name}']" for name in (*(one.name for one in self.parameters), *self.conditions)
+            name: f"p['{name}']"
+            for name in (*(parameter.name for parameter in self.parameters), *self.conditions)
         }
-        places |= {f"force.{one.name}": f"force['{one.name}']" for one in self.sites}
+        places |= {f"force.{site.name}": f"force['{site.name}']" for site in self.sites}
         places |= {name: f"np.{name}" for name in ("sin", "cos", "abs")}
         rows = [
-            _NAME.sub(lambda found: places[found.group()], text).replace("^", "**") if text else "nothing"
+            _NAME.sub(lambda match: places[match.group()], text).replace("^", "**") if text else "nothing"
             for text in equations
         ]
         # our own texts, with our own names put in
@@ -188,14 +189,14 @@ class Plant(ABC):
         for row, state in enumerate(self.states):
             rule = self.initial[state]
             if isinstance(rule, str) and rule not in ("first", "free"):
-                start[row] = [one[rule] for one in conditions]
+                start[row] = [condition[rule] for condition in conditions]
             elif not isinstance(rule, str):
                 start[row] = rule
         return start
 
     def rate_row(self, site: str) -> int | None:
         """Return which state is a site's rate; None where no state is."""
-        rate = next(one.rate for one in self.sites if one.name == site)
+        rate = next(state.rate for state in self.sites if state.name == site)
         return self.states.index(rate) if rate in self.states else None
 
     def values(
@@ -208,13 +209,13 @@ class Plant(ABC):
             for name, value in parameters.items()
         }
         for name in self.conditions:
-            p[name] = np.array([one[name] for one in conditions], dtype=float)
+            p[name] = np.array([condition[name] for condition in conditions], dtype=float)
         return p
 
     @property
     def truth(self) -> dict[str, float]:
         """The true parameters."""
-        return {one.name: one.true for one in self.parameters}
+        return {parameter.name: parameter.true for parameter in self.parameters}
 
 
 def damping_of(

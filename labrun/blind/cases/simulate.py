@@ -35,7 +35,7 @@ def adaptive(bench: Bench) -> FloatArray:
     shape = y.shape
     if y.size == 0:
         return bench.read(bench.time_s, dict.fromkeys((round(float(t), 9) for t in corners), y))
-    rough = any(one.mechanism.rough for one in bench.hidden)
+    rough = any(effect.mechanism.rough for effect in bench.hidden)
     solver_class = RK45 if rough else DOP853
     step = float(corners[1] - corners[0])
     size = np.maximum(_sizes(bench, y), 1e-12)

@@ -46,7 +46,7 @@ class Recalibration:
         self.zeros = zeros
         self.programme = programme
         self.stated = dict(stated)
-        self.free = [one for one in plant.parameters if one.tolerance != 0.0]
+        self.free = [parameter for parameter in plant.parameters if parameter.tolerance != 0.0]
         self.starts = [
             row for row, state in enumerate(plant.states) if plant.initial[state] in ("free", "first")
         ]
@@ -59,12 +59,15 @@ class Recalibration:
     def simulate(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return outputs (outputs, samples, trials) and derivatives (..., variables) at scaled variables z."""
         p, n = len(self.free), self.trials
-        values = {one.name: np.full(self.columns * n, self.stated[one.name]) for one in self.plant.parameters}
+        values = {
+            parameter.name: np.full(self.columns * n, self.stated[parameter.name])
+            for parameter in self.plant.parameters
+        }
         start = np.tile(self.begin, self.columns)
-        for index, one in enumerate(self.free):
-            values[one.name] = values[one.name] * z[index]
+        for index, free_parameter in enumerate(self.free):
+            values[free_parameter.name] = values[free_parameter.name] * z[index]
             block = slice((1 + index) * n, (2 + index) * n)
-            values[one.name][block] += _STEP * self.stated[one.name]
+            values[free_parameter.name][block] += _STEP * self.stated[free_parameter.name]
         for index, row in enumerate(self.starts):
             start[row] += np.tile(z[p + index * n : p + (index + 1) * n], self.columns) * self._unit[row]
             block = slice((1 + p + index) * n, (2 + p + index) * n)
@@ -88,7 +91,9 @@ class Recalibration:
         """Calibrate on noise-free `measured`, weighed by the noise `sd` of each output."""
         weight = 1.0 / sd[:, None, None]
         p = len(self.free)
-        tight = [index for index, one in enumerate(self.free) if one.tolerance != "free"]
+        tight = [
+            index for index, free_parameter in enumerate(self.free) if free_parameter.tolerance != "free"
+        ]
         tolerances = np.array([float(self.free[index].tolerance) for index in tight])
         count = p + len(self.starts) * self.trials
         cache: dict[bytes, tuple[FloatArray, FloatArray]] = {}
@@ -114,7 +119,7 @@ class Recalibration:
         raw = both(stated)[0][: measured.size].reshape(measured.shape) / weight
         # a search from the stated values may end a whole swing away; from the truth it finds the right valley
         z0 = stated.copy()
-        z0[:p] = [one.true / self.stated[one.name] for one in self.free]
+        z0[:p] = [free_parameter.true / self.stated[free_parameter.name] for free_parameter in self.free]
         low = np.concatenate([np.full(p, 0.02), np.full(count - p, -50.0)])
         high = np.concatenate([np.full(p, 50.0), np.full(count - p, 50.0)])
         z = z0
@@ -138,8 +143,11 @@ class Recalibration:
             )
             z = np.asarray(fit.x)
         residual = both(z)[0][: measured.size].reshape(measured.shape) / weight
-        found = {one.name: float(self.stated[one.name] * z[index]) for index, one in enumerate(self.free)}
-        return Left(residual, raw, found)
+        parameters = {
+            free_parameter.name: float(self.stated[free_parameter.name] * z[index])
+            for index, free_parameter in enumerate(self.free)
+        }
+        return Left(residual, raw, parameters)
 
 
 def size_of(residual: FloatArray, sd: FloatArray) -> float:
@@ -161,7 +169,7 @@ def measure(bench: Bench, outputs: FloatArray, kind: Kind, site: str) -> Measure
     step_s, length_s = float(time_s[1] - time_s[0]), float(time_s[-1])
     if kind in ("joint", "body"):
         return _of_joint(bench, outputs, site, step_s, length_s)
-    names = [one.name for one in (plant.inputs if kind == "input" else plant.outputs)]
+    names = [signal.name for signal in (plant.inputs if kind == "input" else plant.outputs)]
     signals = bench.drive.inputs if kind == "input" else outputs
     row = names.index(site)
     q = _peak(signals[row])
@@ -241,9 +249,9 @@ class Projection:
         self.sd = sd
         self._jacobian = (slopes / sd[:, None, None, None]).reshape(self.base.size, count)
         prior = np.zeros(count)
-        for index, one in enumerate(bare.free):
-            if one.tolerance != "free":
-                prior[index] = 1.0 / float(one.tolerance) ** 2
+        for index, free_parameter in enumerate(bare.free):
+            if free_parameter.tolerance != "free":
+                prior[index] = 1.0 / float(free_parameter.tolerance) ** 2
         normal = self._jacobian.T @ self._jacobian + np.diag(prior)
         self._inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) if count else np.zeros((0, 0))
 
@@ -295,22 +303,22 @@ def find_size(gap: Callable[[float], float], aim: float, start: float, most: flo
     size, best, best_miss = min(start, most), 0.0, np.inf
     for _ in range(_ROUNDS):
         try:
-            found = gap(size)
+            largest = gap(size)
         except BlewUpError:
             high, size = size, 0.5 * (low + size)
             continue
-        miss = abs(np.log(max(found, 1e-12) / aim))
+        miss = abs(np.log(max(largest, 1e-12) / aim))
         if miss < best_miss:
             best, best_miss = size, miss
         if miss < np.log(_CLOSE):
             break
-        if found < aim:
+        if largest < aim:
             low = size
         else:
             high = size
         if low >= most:
             break
-        wanted = size * float(np.clip(aim / max(found, 1e-12), 0.02, 50.0))
+        wanted = size * float(np.clip(aim / max(largest, 1e-12), 0.02, 50.0))
         size = (
             wanted
             if low < wanted < high

@@ -13,17 +13,21 @@ _DIGITS = 8
 def write_model(plant: Plant, stated: Mapping[str, float], path: Path) -> None:
     """Write the model file: stated parameters, equations, sites, and nothing of what is hidden."""
     lines = [f'name = "{plant.name}"', f"states = {_list(plant.states)}"]
-    lines.append(f"inputs = {_list([one.name for one in plant.inputs])}")
+    lines.append(f"inputs = {_list([signal.name for signal in plant.inputs])}")
     lines.append("[parameters]")
-    for one in plant.parameters:
-        tolerance = '"free"' if one.tolerance == "free" else f"{one.tolerance}"
+    for parameter in plant.parameters:
+        tolerance = '"free"' if parameter.tolerance == "free" else f"{parameter.tolerance}"
         lines.append(
-            f'{one.name} = {{ value = {stated[one.name]!r}, tolerance = {tolerance}, unit = "{one.unit}" }}'
+            f"{parameter.name} = {{ value = {stated[parameter.name]!r}, tolerance = {tolerance}, "
+            f'unit = "{parameter.unit}" }}'
         )
     lines.append("[equations]")
     lines += [f'{state} = "{plant.equations[state]}"' for state in plant.states]
     lines.append("[outputs]")
-    lines += [f'{one.name} = {{ equation = "{one.equation}", unit = "{one.unit}" }}' for one in plant.outputs]
+    lines += [
+        f'{output.name} = {{ equation = "{output.equation}", unit = "{output.unit}" }}'
+        for output in plant.outputs
+    ]
     for site in plant.sites:
         lines += [f"[sites.{site.name}]", f'kind = "{site.kind}"']
         lines += [f'coordinate = "{site.coordinate}"', f'rate = "{site.rate}"']
@@ -52,16 +56,18 @@ def write_recording(
     """
     folder.mkdir(parents=True, exist_ok=True)
     lines = [f'experiment = "{name}"']
-    for one in plant.inputs:
+    for signal in plant.inputs:
         lines += [
-            f"[channels.{one.name}]",
+            f"[channels.{signal.name}]",
             'kind = "input"',
-            f'unit = "{one.unit}"',
-            f'between = "{one.between}"',
+            f'unit = "{signal.unit}"',
+            f'between = "{signal.between}"',
         ]
-    for one in plant.outputs:
-        lines += [f"[channels.{one.name}]", 'kind = "output"', f'unit = "{one.unit}"']
-    header = ",".join(["time_s", *(one.name for one in plant.inputs), *(one.name for one in plant.outputs)])
+    for output in plant.outputs:
+        lines += [f"[channels.{output.name}]", 'kind = "output"', f'unit = "{output.unit}"']
+    header = ",".join(
+        ["time_s", *(signal.name for signal in plant.inputs), *(output.name for output in plant.outputs)]
+    )
     for number, (condition, repeat, inputs, outputs) in enumerate(trials, start=1):
         file = f"trial{number:03d}.csv"
         lines += ["", "[[trials]]", f'file = "{file}"', f"repeat = {repeat}"]
@@ -78,7 +84,7 @@ def write_recording(
 
 
 def _list(names: Sequence[str]) -> str:
-    quoted = [f'"{one}"' for one in names]
+    quoted = [f'"{name}"' for name in names]
     return f"[{', '.join(quoted)}]"
 
 

@@ -96,25 +96,25 @@ class TrialPlan:
             "file": None if self.file is None else str(self.file),
             "model": self.model,
             "trials": [
-                {"label": one.label, "condition": dict(one.condition), "rig_time_s": one.cost_s}
-                for one in self.trials
+                {"label": trial.label, "condition": dict(trial.condition), "rig_time_s": trial.cost_s}
+                for trial in self.trials
             ],
             "repeats": self.repeats,
             "time_s": self.time_s,
             "effects": [
                 {
-                    "effect": one.name.effect,
-                    "site": one.name.site,
-                    "parameter": one.parameter,
-                    "visible_from": None if one.size is None else one.size.value,
-                    "unit": "" if one.size is None else one.size.unit,
-                    "best_trial": None if one.best < 0 else one.best,
-                    "why": one.why,
-                    "looks_like": [str(name) for name in one.alike],
+                    "effect": effect.name.effect,
+                    "site": effect.name.site,
+                    "parameter": effect.parameter,
+                    "visible_from": None if effect.size is None else effect.size.value,
+                    "unit": "" if effect.size is None else effect.size.unit,
+                    "best_trial": None if effect.best < 0 else effect.best,
+                    "why": effect.why,
+                    "looks_like": [str(name) for name in effect.alike],
                 }
-                for one in self.visible
+                for effect in self.visible
             ],
-            "noise": {name: one.value for name, one in self.noise.items()},
+            "noise": {name: sd.value for name, sd in self.noise.items()},
             "looked_at": self.looked_at,
             "notes": list(self.notes),
         }
@@ -164,7 +164,7 @@ def plan_trials(
 
     Parameters
     ----------
-    noise : output -> standard deviation of one trial, in the output's unit
+    noise : output -> standard deviation of spread trial, in the output's unit
         1 % of what the output moves over if not given.
     out
         The experiment file to write; none if None.
@@ -187,18 +187,20 @@ def plan_trials(
     problem = problem.with_noise(OutputNoise(np.sqrt(repeats) / sd))
     z = problem.begin()
     library = [
-        (one.attached, one.scale)
-        for one in candidates(model, site_scales(problem, z))
-        if one.attached is not None and one.scale is not None
+        (candidate.attached, candidate.scale)
+        for candidate in candidates(model, site_scales(problem, z))
+        if candidate.attached is not None and candidate.scale is not None
     ]
     note(f"trying {len(library)} effects in {len(kept)} trials")
     imitation = Imitation(problem, z, np.diag(problem.priors.slope**2 + _RIDGE))
     base = problem.residuals(z)
-    tried = each(lambda one: _tried(problem, z, base, imitation, *one), library)
+    tried = each(lambda arguments: _tried(problem, z, base, imitation, *arguments), library)
     chosen = _chosen(kept, tried, imitation)
-    told = [_visible(one, imitation, chosen, effect_units(one.attached, model, data)) for one in tried]
-    told = _held_against(told, tried, imitation, chosen)
-    told.sort(key=lambda one: one.size is None)
+    messages = [
+        _visible(effect, imitation, chosen, effect_units(effect.attached, model, data)) for effect in tried
+    ]
+    held = _held_against(messages, tried, imitation, chosen)
+    held.sort(key=lambda visible: visible.size is None)
     trials = tuple(kept[index] for index in chosen)
     plan = bench.plan(trials)
     if bench.set_by_hand:
@@ -208,18 +210,18 @@ def plan_trials(
             "noise is assumed where it is not stated: --noise OUTPUT=SIZE states it, sizes scale with it"
         )
     if out is not None:
-        seen = sum(one.size is not None for one in told)
+        seen = sum(visible.size is not None for visible in held)
         remarks = [
-            f"Planned before any data: these trials make {seen} of {len(told)} effects visible, see labrun gap plan."
+            f"Planned before any data: these trials make {seen} of {len(held)} effects visible, see labrun gap plan."
         ]
         bench.write(out, trials, remarks, None)
-    units = {one.name: one.unit for one in model.outputs}
+    units = {output.name: output.unit for output in model.outputs}
     sizes = {
-        name: ResampledNumber(float(one), float(one), float(one), units[name])
-        for name, one in zip(units, sd, strict=True)
+        name: ResampledNumber(float(spread), float(spread), float(spread), units[name])
+        for name, spread in zip(units, sd, strict=True)
     }
     return TrialPlan(
-        out, model.name, trials, repeats, bench.time_s(plan), tuple(told), sizes, len(kept), tuple(notes)
+        out, model.name, trials, repeats, bench.time_s(plan), tuple(held), sizes, len(kept), tuple(notes)
     )
 
 
@@ -227,16 +229,18 @@ def _simulated(
     model: Model, pool: Sequence[PlannedTrial], notes: list[str]
 ) -> tuple[list[PlannedTrial], list[FloatArray]]:
     """Return the trials that the model simulates, and what they would measure but for noise."""
-    shown = {one.name for one in model.outputs}
+    shown = {output.name for output in model.outputs}
     kept, outputs = [], []
     for trial in pool:
         begin = {state: trial.begin_rad if state in shown else 0.0 for state in model.states}
         first = {**model.told_first(trial.inputs[0]), **begin}
         start = model.initial_state(trial.condition, first=first, free=begin)
-        found = simulate(model, trial.time_s, trial.inputs, condition=trial.condition, initial_state=start)
-        if found.finite and np.any(np.ptp(found.outputs, axis=0) > 0):
+        simulated = simulate(
+            model, trial.time_s, trial.inputs, condition=trial.condition, initial_state=start
+        )
+        if simulated.finite and np.any(np.ptp(simulated.outputs, axis=0) > 0):
             kept.append(trial)
-            outputs.append(found.outputs)
+            outputs.append(simulated.outputs)
     if not kept:
         raise RequestError(
             f"model {model.name} gives nothing that moves in any trial of this experiment",
@@ -252,13 +256,13 @@ def _simulated(
 
 
 def _empty(model: Model, bench: RunBench) -> Dataset:
-    inputs = tuple(SignalInfo(one.name, one.unit) for one in model.inputs)
-    outputs = tuple(SignalInfo(one.name, one.unit) for one in model.outputs)
+    inputs = tuple(SignalInfo(signal.name, signal.unit) for signal in model.inputs)
+    outputs = tuple(SignalInfo(output.name, output.unit) for output in model.outputs)
     return Dataset(bench.name, Path(bench.name), "run", inputs, outputs, ())
 
 
 def _noise(model: Model, spread: FloatArray, stated: Mapping[str, float]) -> FloatArray:
-    names = [one.name for one in model.outputs]
+    names = [output.name for output in model.outputs]
     for name, value in stated.items():
         if name not in names or not value > 0:
             raise RequestError(
@@ -311,17 +315,17 @@ def _chosen(pool: Sequence[PlannedTrial], tried: Sequence[_Tried], imitation: Im
     """Return the trials that lower the sizes that are visible most for their time, one after the other."""
 
     def value(chosen: Sequence[int]) -> float:
-        strengths = [imitation.remaining(one.middle, chosen) ** 0.5 for one in tried]
+        strengths = [imitation.remaining(effect.middle, chosen) ** 0.5 for effect in tried]
         # what is far beyond visible, or far from it, need not become more so
         room = 0.1 * _PLANNED_SEEN, 20.0 * _PLANNED_SEEN
         return float(np.mean(np.log(np.clip(strengths, *room)))) if strengths else 0.0
 
-    return greedy(value, [one.cost_s**0.5 for one in pool], lambda _: _PLANNED_GAIN)
+    return greedy(value, [trial.cost_s**0.5 for trial in pool], lambda _: _PLANNED_GAIN)
 
 
-def _imitated(one: _Tried, strengths: FloatArray, chosen: Sequence[int]) -> bool:
+def _imitated(tried: _Tried, strengths: FloatArray, chosen: Sequence[int]) -> bool:
     """Tell whether parameters do nearly the same: asked of the smallest change, where linear projection is true."""
-    for change, left in zip(one.changes, strengths, strict=True):
+    for change, left in zip(tried.changes, strengths, strict=True):
         whole = float(change.squares[chosen].sum()) ** 0.5
         if whole > _NUMERICAL:
             return bool(left <= criteria.IMITATED * whole)
@@ -329,48 +333,48 @@ def _imitated(one: _Tried, strengths: FloatArray, chosen: Sequence[int]) -> bool
 
 
 def _held_against(
-    told: Sequence[Visible], tried: Sequence[_Tried], imitation: Imitation, chosen: Sequence[int]
+    visibles: Sequence[Visible], tried: Sequence[_Tried], imitation: Imitation, chosen: Sequence[int]
 ) -> list[Visible]:
     """Return what is visible with the names of what would look the same."""
-    alike = imitation.cosines([one.middle for one in tried], chosen) > _PLANNED_ALIKE
-    seen = [one.size is not None for one in told]
+    alike = imitation.cosines([effect.middle for effect in tried], chosen) > _PLANNED_ALIKE
+    seen = [visible.size is not None for visible in visibles]
     return [
         replace(
-            one,
+            visible,
             alike=tuple(
-                other.name for at, other in enumerate(told) if at != row and seen[at] and alike[row, at]
+                other.name for at, other in enumerate(visibles) if at != row and seen[at] and alike[row, at]
             ),
         )
         if seen[row]
-        else one
-        for row, one in enumerate(told)
+        else visible
+        for row, visible in enumerate(visibles)
     ]
 
 
-def _visible(one: _Tried, imitation: Imitation, chosen: Sequence[int], units: Mapping[str, str]) -> Visible:
+def _visible(tried: _Tried, imitation: Imitation, chosen: Sequence[int], units: Mapping[str, str]) -> Visible:
     """Return the size from which on the chosen trials show an effect; whether any trial of the pool would."""
-    name, main, seen = Name(one.attached.effect.id, one.attached.site), one.main, _PLANNED_SEEN
-    strengths = np.sqrt([imitation.remaining(each, chosen) for each in one.changes])
-    imitated = _imitated(one, strengths, chosen)
+    name, main, seen = Name(tried.attached.effect.id, tried.attached.site), tried.main, _PLANNED_SEEN
+    strengths = np.sqrt([imitation.remaining(each, chosen) for each in tried.changes])
+    imitated = _imitated(tried, strengths, chosen)
     if imitated or np.max(strengths) < seen:
-        whole = max(float(each.squares[chosen].sum()) ** 0.5 for each in one.changes)
-        every = range(len(one.middle.squares))
+        whole = max(float(each.squares[chosen].sum()) ** 0.5 for each in tried.changes)
+        every = range(len(tried.middle.squares))
         why = (
             "moves nothing here"
             if whole < seen
             else "parameters and initial states imitate it"
-            if imitated or max(imitation.remaining(each, every) for each in one.changes) < seen**2
+            if imitated or max(imitation.remaining(each, every) for each in tried.changes) < seen**2
             else "only all trials together would show it"
         )
         return Visible(name, main.name, None, -1, why)
     first = int(np.argmax(strengths >= seen))
-    size = abs(one.sizes[first])
+    size = abs(tried.sizes[first])
     if first > 0 and strengths[first - 1] > 0:  # between the two, in logarithms
         low, high = np.log(strengths[first - 1 : first + 1])
         part = (np.log(seen) - low) / (high - low)
-        size = float(np.exp((1 - part) * np.log(abs(one.sizes[first - 1])) + part * np.log(size)))
+        size = float(np.exp((1 - part) * np.log(abs(tried.sizes[first - 1])) + part * np.log(size)))
     elif np.isfinite(main.neutral if main.neutral is not None else 0.0):
         size *= seen / float(strengths[first])  # smaller than all that were tried, where effects are linear
-    alone = [imitation.remaining(one.changes[first], [index]) for index in chosen]
+    alone = [imitation.remaining(tried.changes[first], [index]) for index in chosen]
     visible = ResampledNumber(size, size, size, units[main.name])
     return Visible(name, main.name, visible, int(np.argmax(alone)))

@@ -80,7 +80,7 @@ class Proposal:
     @property
     def sigma(self) -> float:
         """Of the pair that is told apart worst; what the simpler one decides without a difference is left out."""
-        worst = [one.sigma for one in self.outlook if not one.by_simplicity]
+        worst = [evidence.sigma for evidence in self.outlook if not evidence.by_simplicity]
         return min(worst, default=0.0)
 
     def to_json(self) -> dict[str, Any]:
@@ -107,8 +107,13 @@ class Proposal:
             "time_s": self.time_s,
             "time_at_most_s": self.time_at_most_s,
             "expected": [
-                {"truth": one.truth, "rival": one.rival, "sigma": one.sigma, "over_threshold": one.ratio}
-                for one in self.outlook
+                {
+                    "truth": evidence.truth,
+                    "rival": evidence.rival,
+                    "sigma": evidence.sigma,
+                    "over_threshold": evidence.ratio,
+                }
+                for evidence in self.outlook
             ],
             "sigma": self.sigma,
             "advice": list(self.advice),
@@ -264,20 +269,20 @@ _RULES: tuple[tuple[frozenset[str], frozenset[str], str], ...] = (
 """Advice for a pair with one effect in each of two sets; the first that fits."""
 
 
-def would_separate(one: Rival, other: Rival) -> str:
+def would_separate(rival: Rival, other: Rival) -> str:
     """Return, as a sentence that names both, what kind of trial or bench tells two causes apart."""
-    return f"{one.words} or {other.words}: {_advice(one, other)}"
+    return f"{rival.words} or {other.words}: {_advice(rival, other)}"
 
 
-def _advice(one: Rival, other: Rival) -> str:
-    if one.cause is None or other.cause is None:
+def _advice(rival: Rival, other: Rival) -> str:
+    if rival.cause is None or other.cause is None:
         return _HARDLY
-    here, there = one.cause.effect, other.cause.effect
+    here, there = rival.cause.effect, other.cause.effect
     if here == there:
         return _OTHERWISE
     for some, others, advice in _RULES:
         if (here in some and there in others) or (there in some and here in others):
-            return advice.format(corner=_corner(one, other))
+            return advice.format(corner=_corner(rival, other))
     return _OTHERWISE
 
 
@@ -308,7 +313,7 @@ class ProposedTrials:
     @property
     def decided(self) -> int:
         """How many of the pairs a diagnosis of everything would decide."""
-        return sum(one.told_apart for one in self.evidence)
+        return sum(evidence.told_apart for evidence in self.evidence)
 
 
 def propose(
@@ -353,36 +358,38 @@ def propose(
         require_writable(file.parent, file.name)
         search = search_causes(dataset, question.model, rng, note=note)
         recording = RecordingBench(search.data, question.model, repeats)
-        found = design(search, dataset, inside(search, dataset, recording.pool()), note)
-        time_s = time_at_most_s = sum(trial.cost_s for trial in found.trials)
+        designed = design(search, dataset, inside(search, dataset, recording.pool()), note)
+        time_s = time_at_most_s = sum(trial.cost_s for trial in designed.trials)
         notes = [
             "The recording does not say what its rig allows: every input stays within the range it was recorded in; "
             "check speeds and resets yourself. The time is that of recording alone.",
-            *_by_hand(recording.set_by_hand, found.trials, dataset),
+            *_by_hand(recording.set_by_hand, designed.trials, dataset),
         ]
         commands = [f"labrun gap diagnose {dataset.source} --with {file.parent}"]
-        if found.outcome != "cannot":
-            recording.write(file, f"{dataset.name}-next", dataset, found.trials, _remarks(found, time_s))
-        return _proposal(found, file, (time_s, time_at_most_s), notes, commands)
+        if designed.outcome != "cannot":
+            recording.write(
+                file, f"{dataset.name}-next", dataset, designed.trials, _remarks(designed, time_s)
+            )
+        return _proposal(designed, file, (time_s, time_at_most_s), notes, commands)
     file = out or free_place(workspace / "experiments", f"{run.name}-next")
     require_writable(file.parent, file.name)
     search = search_causes(dataset, question.model, rng, note=note)
     bench = RunBench.of(run, dataset, question.model, question.signals, repeats)
     note("looking what the rig allows")
-    found = design(search, dataset, bench.pool(rng), note)
-    notes = _by_hand(bench.set_by_hand, found.trials, dataset)
+    designed = design(search, dataset, bench.pool(rng), note)
+    notes = _by_hand(bench.set_by_hand, designed.trials, dataset)
     if bench.stands_in:
         names = ", ".join(bench.stands_in)
         notes.append(f"The commanded motion was taken for what {names} will measure.")
-    if found.outcome == "cannot":
-        return _proposal(found, None, (0.0, 0.0), notes, [])
-    plan = bench.plan(found.trials)
+    if designed.outcome == "cannot":
+        return _proposal(designed, None, (0.0, 0.0), notes, [])
+    plan = bench.plan(designed.trials)
     time_s = bench.time_s(plan)
     named = None if model is None else _model_name(model, file)
-    bench.write(file, found.trials, _remarks(found, time_s), named)
+    bench.write(file, designed.trials, _remarks(designed, time_s), named)
     shown = file.stem if file.parent.name == "experiments" else str(file)
     commands = [f"labrun run {shown}", f"labrun gap diagnose {run.name} --with {file.stem}"]
-    return _proposal(found, file, (time_s, max(plan.time_at_most_s, time_s)), notes, commands)
+    return _proposal(designed, file, (time_s, max(plan.time_at_most_s, time_s)), notes, commands)
 
 
 def design(
@@ -413,43 +420,45 @@ def inside(search: Search, dataset: Dataset, pool: Sequence[PlannedTrial]) -> li
 
 
 def _proposal(
-    found: ProposedTrials,
+    trials: ProposedTrials,
     file: Path | None,
     times_s: tuple[float, float],
     notes: Sequence[str],
     commands: Sequence[str],
 ) -> Proposal:
-    rivals, nothing = found.rivals, found.outcome == "cannot"
-    unsettled = [pair for pair, one in zip(rivals.pairs, found.evidence, strict=True) if one.ratio < 1.0]
-    once = {frozenset((one.name, other.name)): (one, other) for one, other in unsettled}
+    rivals, nothing = trials.rivals, trials.outcome == "cannot"
+    unsettled = [
+        pair for pair, evidence in zip(rivals.pairs, trials.evidence, strict=True) if evidence.ratio < 1.0
+    ]
+    once = {frozenset((first.name, other.name)): (first, other) for first, other in unsettled}
     return Proposal(
-        found.outcome,
+        trials.outcome,
         None if nothing else file,
-        tuple(one.name for one in rivals.rivals),
-        tuple(one.cause for one in rivals.rivals),
+        tuple(rival.name for rival in rivals.rivals),
+        tuple(rival.cause for rival in rivals.rivals),
         rivals.doubt,
         rivals.why,
-        found.trials,
+        trials.trials,
         criteria.NEXT_REPEATS,
         *times_s,
-        found.evidence,
+        trials.evidence,
         tuple(would_separate(*pair) for pair in once.values()),
         tuple(notes),
         () if nothing else tuple(commands),
     )
 
 
-def _remarks(found: ProposedTrials, time_s: float) -> list[str]:
+def _remarks(trials: ProposedTrials, time_s: float) -> list[str]:
     """Return the head of the file: what it is for."""
-    words = {rival.name: rival.words for rival in found.rivals.rivals}
-    lines = [found.rivals.why, f"Rig time of these trials: about {spoken(time_s)}. What to expect:"]
-    return [*lines, *(f"  {line}" for line in told(found.evidence, words))]
+    words = {rival.name: rival.words for rival in trials.rivals.rivals}
+    lines = [trials.rivals.why, f"Rig time of these trials: about {spoken(time_s)}. What to expect:"]
+    return [*lines, *(f"  {line}" for line in told(trials.evidence, words))]
 
 
 def _by_hand(names: Sequence[str], trials: Sequence[PlannedTrial], dataset: Dataset) -> list[str]:
     """Return a sentence on what changes that no motion changes."""
-    every = [*(one.condition for one in dataset.trials), *(one.condition for one in trials)]
-    changed = [name for name in names if trials and len({one.get(name) for one in every}) > 1]
+    every = [*(trial.condition for trial in dataset.trials), *(trial.condition for trial in trials)]
+    changed = [name for name in names if trials and len({condition.get(name) for condition in every}) > 1]
     if not changed:
         return []
     *most, last = sorted(changed)

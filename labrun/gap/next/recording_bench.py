@@ -44,14 +44,14 @@ class RecordingBench:
     def pool(self) -> list[PlannedTrial]:
         """Return recorded inputs scaled and sped up, sines, steps and sweeps of the same range, other conditions."""
         bases = self._bases()
-        found: list[PlannedTrial] = []
-        for place in bases:
-            found += self._other_conditions(place)
+        trials: list[PlannedTrial] = []
+        for basis in bases:
+            trials += self._other_conditions(basis)
             if self.model.inputs:
-                found += self._changed(place)
+                trials += self._changed(basis)
         if self.model.inputs:
-            found += self._made(bases[0])
-        return found
+            trials += self._made(bases[0])
+        return trials
 
     @property
     def set_by_hand(self) -> tuple[str, ...]:
@@ -66,39 +66,39 @@ class RecordingBench:
     def _bases(self) -> list[int]:
         """Return the first trials of a few conditions, one number each."""
         firsts: dict[object, int] = {}
-        for place, trial in enumerate(self.dataset.trials):
-            firsts.setdefault(condition_key(trial.condition), place)
+        for index, trial in enumerate(self.dataset.trials):
+            firsts.setdefault(condition_key(trial.condition), index)
         return evenly(list(firsts.values()), _BASES)
 
-    def _other_conditions(self, place: int) -> list[PlannedTrial]:
-        trial = self.dataset.trials[place]
-        found = []
+    def _other_conditions(self, index: int) -> list[PlannedTrial]:
+        trial = self.dataset.trials[index]
+        conditions = []
         for name in self.set_by_hand:
-            values = [float(one.condition[name]) for one in self.dataset.trials]
+            values = [float(t.condition[name]) for t in self.dataset.trials]
             for value in by_hand(name, values):
                 condition = {**trial.condition, name: value}
                 label = f"{condition_text({name: value})}, else as recorded at {trial.label}"
-                found.append(self._trial(label, condition, trial, trial.inputs, (place, 1.0)))
+                conditions.append(self._trial(label, condition, trial, trial.inputs, (index, 1.0)))
                 for factor in _GENTLER if self.model.inputs else ():
                     gentle = {**condition, "input": f"times {factor:g}"}
-                    found.append(
+                    conditions.append(
                         self._trial(
                             f"{label}, inputs times {factor:g}",
                             gentle,
                             trial,
                             factor * trial.inputs,
-                            (place, factor),
+                            (index, factor),
                         )
                     )
-        return found
+        return conditions
 
-    def _changed(self, place: int) -> list[PlannedTrial]:
-        trial = self.dataset.trials[place]
-        found = []
+    def _changed(self, index: int) -> list[PlannedTrial]:
+        trial = self.dataset.trials[index]
+        trials = []
         for factor in _FACTORS:
             label = f"inputs of {trial.label} times {factor:g}"
             condition = {**trial.condition, "input": f"{trial.label} times {factor:g}"}
-            found.append(self._trial(label, condition, trial, factor * trial.inputs, (place, factor)))
+            trials.append(self._trial(label, condition, trial, factor * trial.inputs, (index, factor)))
         for warp in _WARPS:
             label = f"inputs of {trial.label}, {warp:g} times as fast"
             condition = {**trial.condition, "input": f"{trial.label} {warp:g} times as fast"}
@@ -109,17 +109,17 @@ class RecordingBench:
                     for column in trial.inputs.T
                 ]
             )
-            found.append(self._trial(label, condition, trial, faster, (place, 1.0)))
-        return found
+            trials.append(self._trial(label, condition, trial, faster, (index, 1.0)))
+        return trials
 
-    def _made(self, place: int) -> list[PlannedTrial]:
+    def _made(self, index: int) -> list[PlannedTrial]:
         """Return sines, steps and sweeps of every input that moved, the others at their middle."""
-        trial = self.dataset.trials[place]
+        trial = self.dataset.trials[index]
         time_s = trial.time_s - trial.time_s[0]
         length = float(time_s[-1])
         fastest = 1.0 / (_FEWEST_SAMPLES * float(np.median(np.diff(time_s))))
-        found = []
-        for column, one in enumerate(self.model.inputs):
+        trials = []
+        for column, signal in enumerate(self.model.inputs):
             values = np.concatenate([each.inputs[:, column] for each in self.dataset.trials])
             middle, half = 0.5 * (values.max() + values.min()), 0.5 * float(np.ptp(values))
             if half == 0.0:
@@ -147,9 +147,9 @@ class RecordingBench:
             for label, course in shapes:
                 inputs = np.tile(np.median(trial.inputs, axis=0), (len(time_s), 1))
                 inputs[:, column] = course
-                condition = {**trial.condition, "input": f"{label} at {one.name}"}
-                found.append(self._trial(f"{one.name}: {label}", condition, trial, inputs, (place, 0.0)))
-        return found
+                condition = {**trial.condition, "input": f"{label} at {signal.name}"}
+                trials.append(self._trial(f"{signal.name}: {label}", condition, trial, inputs, (index, 0.0)))
+        return trials
 
     def _trial(
         self,
@@ -182,8 +182,8 @@ class RecordingBench:
             for file, trial, repeat in files
         ]
         columns = ", ".join(signal.name for signal in dataset.outputs)
-        told = f"Each CSV file holds time and inputs of one trial; what was measured goes beside them as {columns}."
-        write_plan(path, [*remarks, told], {"experiment": name, "channels": channels, "trials": entries})
+        message = f"Each CSV file holds time and inputs of one trial; what was measured goes beside them as {columns}."
+        write_plan(path, [*remarks, message], {"experiment": name, "channels": channels, "trials": entries})
         header = ",".join(["time_s", *(signal.name for signal in dataset.inputs)])
         for file, trial, _ in files:
             require_free(path.parent / file)

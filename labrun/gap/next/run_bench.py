@@ -77,7 +77,7 @@ class RunBench:
         """
         stored = loads_experiment(run.experiment_toml, run.name).experiment
         known = {key for outcome in run.outcomes for key in outcome.condition}
-        measured = [one.condition for one in dataset.trials if known <= set(one.condition)]
+        measured = [trial.condition for trial in dataset.trials if known <= set(trial.condition)]
         settled = [outcome.settle.duration_s for outcome in run.outcomes if outcome.settle is not None]
         step_s = float(np.median(np.diff(dataset.trials[0].time_s)))
         settle_s = float(np.median(settled)) if settled else None
@@ -110,7 +110,7 @@ class RunBench:
         tree = tomllib.loads(resolved(stored))
         constants = _free_constants(tree)
         measured = _distinct(conditions)
-        measured = _distinct([{**constants, **one} for one in measured])
+        measured = _distinct([{**constants, **condition} for condition in measured])
         tree["kind"] = "run"
         for key in ("sweep", "cmaes", "leaders"):
             tree.pop(key, None)
@@ -132,7 +132,7 @@ class RunBench:
     def trials(self, conditions: Sequence[Condition]) -> list[PlannedTrial]:
         """Return trials at these conditions."""
         planner, maker = Planner(self.experiment), MotionMaker(self.experiment)
-        found = []
+        trials = []
         for condition in conditions:
             plan = planner.plan([condition])
             motion = maker.motion(condition)
@@ -148,7 +148,7 @@ class RunBench:
                     for joint in self.joint_of
                 ]
             )
-            found.append(
+            trials.append(
                 PlannedTrial(
                     condition_text(condition),
                     condition,
@@ -159,7 +159,7 @@ class RunBench:
                     begin_rad=begin[0] if len(begin) == 1 else 0.0,
                 )
             )
-        return found
+        return trials
 
     def time_s(self, plan: Plan) -> float:
         """Return the rig time of a plan, settling as it was on this bench."""
@@ -202,13 +202,13 @@ class RunBench:
 
     def _without_defaults(self) -> dict[str, Any]:
         """Return the experiment's tables as a person would write them: what is as it always is, left out."""
-        found: dict[str, Any] = self.experiment.model_dump(
+        dump: dict[str, Any] = self.experiment.model_dump(
             mode="python", by_alias=True, exclude_none=True, exclude_defaults=True
         )
-        repeats = found.get("trial", {}).get("repeats")
+        repeats = dump.get("trial", {}).get("repeats")
         if isinstance(repeats, Mapping) and repeats.get("min") == repeats.get("max"):
-            found["trial"]["repeats"] = repeats["min"]
-        return found
+            dump["trial"]["repeats"] = repeats["min"]
+        return dump
 
     @property
     def set_by_hand(self) -> tuple[str, ...]:
@@ -217,7 +217,8 @@ class RunBench:
         return tuple(
             name
             for name in self.model.conditions
-            if name not in moving and all(isinstance(one.get(name), float | int) for one in self.measured)
+            if name not in moving
+            and all(isinstance(condition.get(name), float | int) for condition in self.measured)
         )
 
     def _conditions(self, planner: Any, rng: np.random.Generator) -> list[dict[str, float | str]]:
@@ -225,13 +226,14 @@ class RunBench:
         by_motion = [
             name
             for name in self.measured[0]
-            if name in moving and all(isinstance(one.get(name), float | int) for one in self.measured)
+            if name in moving
+            and all(isinstance(condition.get(name), float | int) for condition in self.measured)
         ]
         bases = evenly(self.measured, _BASES)
         one_way: list[dict[str, float | str]] = []
         options: dict[str, list[float]] = {}
         for name in (*by_motion, *self.set_by_hand):
-            values = sorted({float(one[name]) for one in self.measured})
+            values = sorted({float(condition[name]) for condition in self.measured})
             for base in (*bases, *_gentler(bases, by_motion, name)):
                 if name in by_motion:
 
@@ -239,7 +241,9 @@ class RunBench:
                         return self._allowed(planner, {**base, name: value})
 
                     # what was zero throughout has no range to go beyond
-                    unmoved = [one for one in _FROM_ZERO_DEG if name == "offset_deg" and allowed(one)]
+                    unmoved = [
+                        offset for offset in _FROM_ZERO_DEG if name == "offset_deg" and allowed(offset)
+                    ]
                     new = beyond(values, allowed) if any(values) else unmoved
                 else:
                     new = by_hand(name, values)
@@ -247,31 +251,40 @@ class RunBench:
                 one_way += [{**base, name: value} for value in new]
         both = [_drawn(bases, options, rng) for _ in range(_MOST)] if len(options) > 1 else []
         every = _distinct([*evenly(one_way, _MOST * 2 // 3 if both else _MOST), *both])
-        fresh = [one for one in every if one not in self.measured and self._allowed(planner, one)]
+        fresh = [
+            candidate
+            for candidate in every
+            if candidate not in self.measured and self._allowed(planner, candidate)
+        ]
         return fresh[:_MOST]
 
     def _changes(self, condition: Condition) -> int:
         """Return how many numbers somebody has to set otherwise than in any trial so far."""
         return sum(
-            condition[name] not in [one[name] for one in self.measured if name in one]
+            condition[name]
+            not in [
+                measured_condition[name] for measured_condition in self.measured if name in measured_condition
+            ]
             for name in self.set_by_hand
             if name in condition
         )
 
     def _reach(self, condition: Condition) -> float:
         """Return how far the numbers of a condition go beyond the measured ones."""
-        found = 1.0
+        factor = 1.0
         for name, value in condition.items():
-            measured = [one[name] for one in self.measured if name in one]
-            numbers = [float(one) for one in measured if not isinstance(one, str)]
+            measured = [
+                measured_condition[name] for measured_condition in self.measured if name in measured_condition
+            ]
+            numbers = [float(number) for number in measured if not isinstance(number, str)]
             if not isinstance(value, str) and numbers:
-                found *= reach(float(value), numbers)
-        return found
+                factor *= reach(float(value), numbers)
+        return factor
 
     def _allowed(self, planner: Any, condition: Condition) -> bool:
         units = self.tree.get("units", {})
-        if any(units.get(name) in _UNSIGNED and not isinstance(one, str) and one < 0
-               for name, one in condition.items()):  # fmt: skip
+        if any(units.get(name) in _UNSIGNED and not isinstance(value, str) and value < 0
+               for name, value in condition.items()):  # fmt: skip
             return False
         try:
             return self._wanted(condition) and not planner.excess_of(condition)
@@ -291,8 +304,8 @@ def _constraints(experiment: Experiment) -> tuple[str, ...]:
         return ()
     ranges = [
         bound
-        for name, one in experiment.cmaes.variables.items()
-        for bound in (f"{name} >= {one.start!r}", f"{name} <= {one.stop!r}")
+        for name, variable in experiment.cmaes.variables.items()
+        for bound in (f"{name} >= {variable.start!r}", f"{name} <= {variable.stop!r}")
     ]
     return (*experiment.cmaes.where, *ranges)
 
@@ -304,34 +317,34 @@ def _free_constants(tree: dict[str, Any]) -> dict[str, float]:
         return {}
     (keys,) = gait["joints"].values()
     taken = _names_of(gait)
-    found = {}
+    constants = {}
     for key in _FREED:
         value = keys.get(key, 0.0)
         if isinstance(value, float | int) and key not in taken:
-            found[key] = float(value)
+            constants[key] = float(value)
             keys[key] = key
-    return found
+    return constants
 
 
 def _commanded(
     model: Model, signals: Mapping[str, str], joints: tuple[str, ...]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the joint whose command drives each input, and the inputs for which it only stands in."""
-    found, stands_in = [], []
-    for one in model.inputs:
-        device, _, channel = signals.get(one.name, f"{COMMAND}.{one.name}").partition(".")
+    planned, stands_in = [], []
+    for signal in model.inputs:
+        device, _, channel = signals.get(signal.name, f"{COMMAND}.{signal.name}").partition(".")
         if channel in joints and device == COMMAND:
-            found.append(channel)
+            planned.append(channel)
         elif channel in joints or len(joints) == 1:
-            found.append(channel if channel in joints else joints[0])
-            stands_in.append(one.name)
+            planned.append(channel if channel in joints else joints[0])
+            stands_in.append(signal.name)
         else:
             raise RequestError(
-                f"the model's input {one.name!r} is {device}.{channel}, which is measured and not commanded: nobody "
+                f"the model's input {signal.name!r} is {device}.{channel}, which is measured and not commanded: nobody "
                 "knows beforehand what it will do",
                 hint=f"drive the model by a commanded joint ({', '.join(joints)}) to plan with it",
             )
-    return tuple(found), tuple(stands_in)
+    return tuple(planned), tuple(stands_in)
 
 
 def _names_of(table: Any) -> frozenset[str]:
@@ -347,11 +360,11 @@ def _names_of(table: Any) -> frozenset[str]:
 
 
 def _distinct(conditions: Sequence[Condition]) -> list[dict[str, float | str]]:
-    found: list[dict[str, float | str]] = []
-    for one in conditions:
-        if dict(one) not in found:
-            found.append(dict(one))
-    return found
+    distinct: list[dict[str, float | str]] = []
+    for condition in conditions:
+        if dict(condition) not in distinct:
+            distinct.append(dict(condition))
+    return distinct
 
 
 def _gentler(

@@ -72,11 +72,11 @@ def planned_data(
             1,
             trial.time_s,
             trial.inputs,
-            one,
+            output,
             group=group,
-            members=(one,) * repeats,
+            members=(output,) * repeats,
         )
-        for group, (trial, one) in enumerate(zip(trials, outputs, strict=True), start=after)
+        for group, (trial, output) in enumerate(zip(trials, outputs, strict=True), start=after)
     )
     return replace(dataset, trials=made, conditions=tuple(trial.label for trial in trials))
 
@@ -97,17 +97,17 @@ def beyond(measured: Sequence[float], allowed: Callable[[float], bool]) -> list[
     allowed
         Whether the rig can do a value; asked on the way out, from the measured extremes.
     """
-    found: list[float] = []
+    amplitudes: list[float] = []
     ends = {max(measured), min(measured)} - {0.0}
     for end in ends:
         far = _farthest(end, allowed)
-        found += [factor * end for factor in (*_WITHIN, *_FURTHER) if abs(factor * end) < abs(far)]
-        found.append(far)
+        amplitudes += [factor * end for factor in (*_WITHIN, *_FURTHER) if abs(factor * end) < abs(far)]
+        amplitudes.append(far)
     if min(measured) * max(measured) >= 0.0:
-        most = max((abs(one) for one in measured), default=0.0)
+        most = max((abs(amplitude) for amplitude in measured), default=0.0)
         sign = -1.0 if max(measured) > 0 else 1.0
-        found += [sign * most, _farthest(sign * most, allowed)]
-    return _new([one for one in map(rounded, found) if allowed(one)], measured)
+        amplitudes += [sign * most, _farthest(sign * most, allowed)]
+    return _new([amplitude for amplitude in map(rounded, amplitudes) if allowed(amplitude)], measured)
 
 
 def by_hand(name: str, measured: Sequence[float]) -> list[float]:
@@ -118,15 +118,17 @@ def by_hand(name: str, measured: Sequence[float]) -> list[float]:
     most = max(measured, key=abs)
     if most == 0.0:
         return []
-    if all(abs(one) == 1.0 for one in measured):
+    if all(abs(amplitude) == 1.0 for amplitude in measured):
         return _new([1.0, -1.0], measured)
     signed = [-most] if min(measured) < 0.0 < max(measured) or name.endswith(_ANGLES) else []
-    return _new([rounded(one) for one in (*(factor * most for factor in _BY_HAND), *signed)], measured)
+    return _new(
+        [rounded(amplitude) for amplitude in (*(factor * most for factor in _BY_HAND), *signed)], measured
+    )
 
 
 def reach(value: float, measured: Sequence[float]) -> float:
     """Return how far a value lies beyond the greatest measured one, as a factor of at least 1."""
-    most = max(abs(one) for one in measured)
+    most = max(abs(amplitude) for amplitude in measured)
     return max(1.0, abs(value) / most) if most > 0 else 1.0
 
 
@@ -153,14 +155,14 @@ def _farthest(end: float, allowed: Callable[[float], bool]) -> float:
 
 
 def _new(values: Sequence[float], measured: Sequence[float]) -> list[float]:
-    known = {rounded(one) for one in measured} | {0.0}
-    return [one for one in dict.fromkeys(values) if one not in known]
+    known = {rounded(amplitude) for amplitude in measured} | {0.0}
+    return [fromkey for fromkey in dict.fromkeys(values) if fromkey not in known]
 
 
 def evenly(items: Sequence[T], most: int) -> list[T]:
     """Return at most so many of the items, spread evenly over them."""
     places = np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).round().astype(int))
-    return [items[place] for place in places]
+    return [items[location] for location in places]
 
 
 def free_place(folder: Path, stem: str, name: str = "") -> Path:

@@ -23,49 +23,52 @@ _NUDGE_S = 1e-3
 """Half of a step behind a slope of simulations."""
 
 
-def common_lead(found: Prescribed, rng: np.random.Generator) -> float:
+def common_lead(prescribed: Prescribed, rng: np.random.Generator) -> float:
     """Return by how much all goals are stamped late beside all angles, s; negative if the angles follow late.
 
     0.0 where joints tell no such time, or do not agree on one.
     """
-    alone, deviations = _alone(found)
+    alone, deviations = _alone(prescribed)
     speaking = deviations < np.abs(alone) / criteria.CLOCK_TOLD
     if speaking.sum() < criteria.CLOCK_JOINTS:
         return 0.0
     middle = float(np.median(alone[speaking]))
     room = np.maximum(criteria.CLOCK_TOLD * deviations, criteria.CLOCK_ALIKE * abs(middle))
     asked = deviations < abs(middle) / criteria.CLOCK_TOLD
-    told = asked & (np.abs(alone - middle) <= room)
-    if told.sum() < max(criteria.CLOCK_JOINTS, criteria.CLOCK_AGREED * asked.sum()):
+    message = asked & (np.abs(alone - middle) <= room)
+    if message.sum() < max(criteria.CLOCK_JOINTS, criteria.CLOCK_AGREED * asked.sum()):
         return 0.0
-    lead_s = float(np.average(alone[told], weights=1.0 / np.square(deviations[told])))
-    if abs(lead_s) < criteria.CLOCK_LEAST * found.sample_s:
+    lead_s = float(np.average(alone[message], weights=1.0 / np.square(deviations[message])))
+    if abs(lead_s) < criteria.CLOCK_LEAST * prescribed.sample_s:
         return 0.0
-    return lead_s + _left_over(found.led(lead_s), np.flatnonzero(told), rng)
+    return lead_s + _left_over(prescribed.led(lead_s), np.flatnonzero(message), rng)
 
 
-def _alone(found: Prescribed) -> tuple[FloatArray, FloatArray]:
+def _alone(prescribed: Prescribed) -> tuple[FloatArray, FloatArray]:
     """Return what each joint says by its torques, and its standard deviation, s; infinite where it says nothing."""
     leads, deviations = [], []
     share = min(
-        criteria.NUMBERS_A_TRIAL * len(found.motions) / sum(len(one[0]) for one in found.motions), 1.0
+        criteria.NUMBERS_A_TRIAL
+        * len(prescribed.motions)
+        / sum(len(motion[0]) for motion in prescribed.motions),
+        1.0,
     )
-    for place in range(len(found.robot.joints)):
+    for index in range(len(prescribed.robot.joints)):
         lead_s, sd_s, deviation = 0.0, np.inf, 0.0
         for _ in range(criteria.CLOCK_STEPS):
-            one = JointTorque.of(found.led(lead_s), place)
-            if not np.any(one.late):
+            torque = JointTorque.of(prescribed.led(lead_s), index)
+            if not np.any(torque.late):
                 break
-            deviation = deviation or max(float(np.std(one.left)), one.least)
-            columns = np.column_stack([one.late, one.columns, one.bodies])
+            deviation = deviation or max(float(np.std(torque.left)), torque.least)
+            columns = np.column_stack([torque.late, torque.columns, torque.bodies])
             spread = np.concatenate(
-                [[np.inf], one.spread, np.full(one.bodies.shape[1], criteria.MASS_TOLERANCE)]
+                [[np.inf], torque.spread, np.full(torque.bodies.shape[1], criteria.MASS_TOLERANCE)]
             )
             normal = share * columns.T @ columns / deviation**2 + np.diag(1.0 / np.square(spread))
             scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
             inverse = np.linalg.pinv(normal * scale * scale[:, None], rcond=1e-12, hermitian=True)
-            fitted = scale * (inverse @ (scale * (share * columns.T @ one.left / deviation**2)))
-            deviation = max(float(np.std(one.left - columns @ fitted)), one.least)
+            fitted = scale * (inverse @ (scale * (share * columns.T @ torque.left / deviation**2)))
+            deviation = max(float(np.std(torque.left - columns @ fitted)), torque.least)
             # what is left by goals at this time grows by `late` with every second that they are read further ahead
             lead_s -= float(
                 np.clip(fitted[0], -criteria.CLOCK_FARTHEST_STEP_S, criteria.CLOCK_FARTHEST_STEP_S)
@@ -76,17 +79,20 @@ def _alone(found: Prescribed) -> tuple[FloatArray, FloatArray]:
     return np.array(leads), np.array(deviations)
 
 
-def _left_over(found: Prescribed, places: Iterable[int], rng: np.random.Generator) -> float:
+def _left_over(prescribed: Prescribed, places: Iterable[int], rng: np.random.Generator) -> float:
     """Return what is missing of a time, from joints simulated with their parameters recalibrated.
 
     Smoothing bends what inverse dynamics says of it, simulations do not. Each joint counts in units of what is left
     at it.
     """
     along, weight = 0.0, 0.0
-    for place in places:
-        one, later = one_joint(found, int(place)), one_joint(found.led(found.lead_s + _NUDGE_S), int(place))
+    for location in places:
+        joint, later = (
+            one_joint(prescribed, int(location)),
+            one_joint(prescribed.led(prescribed.lead_s + _NUDGE_S), int(location)),
+        )
         try:
-            fitted = recalibrate(one.model, averaged(one.dataset, one.model), rng, silent)
+            fitted = recalibrate(joint.model, averaged(joint.dataset, joint.model), rng, silent)
             problem, z = fitted.problem, fitted.z
             base = Base.of(problem, z)
             nudged = replace(problem, model=later.model).residuals(z)

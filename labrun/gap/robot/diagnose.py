@@ -72,60 +72,60 @@ def diagnose_robot(
         return diagnose_torques(robot, model, dataset, options, note=note)
     start = time.perf_counter()
     note("finding what each joint carries along the measured motion")
-    found = prescribed(robot, model, dataset)
+    dynamics = prescribed(robot, model, dataset)
     note("asking all joints together for a clock of the log")
-    led = found.led(common_lead(found, np.random.default_rng(options.seed)))
-    found = led if led.clock not in options.withhold else found
+    led = dynamics.led(common_lead(dynamics, np.random.default_rng(options.seed)))
+    dynamics = led if led.clock not in options.withhold else dynamics
     alone, deadline_s = replace(options, places=False, brisk=True), start + options.within_s
     every = range(len(robot.joints))
     # a process a joint: half of a diagnosis is Python, which threads would wait for in turn
     with nullcontext() if options.workers <= 1 else pool(min(options.workers, len(every)), None) as there:
         note("recalibrating every joint")
-        answers = _looked(found, every, replace(alone, least_gap=np.inf), there, note, deadline_s)
-        lacking = [place for place, (_, answer) in enumerate(answers) if not _quiet(answer)]
+        answers = _looked(dynamics, every, replace(alone, least_gap=np.inf), there, note, deadline_s)
+        lacking = [index for index, (_, answer) in enumerate(answers) if not _quiet(answer)]
         note("asking all joints together which links are not where their encoders say")
-        links = links_that_explain(found, lacking, options.seed)
-        for at in ([one for one in lacking if one not in links], *([one] for one in links)):
-            around = found.with_links({other: by for other, by in links.items() if other not in at})
+        links = links_that_explain(dynamics, lacking, options.seed)
+        for at in ([index for index in lacking if index not in links], *([link] for link in links)):
+            around = dynamics.with_links({other: by for other, by in links.items() if other not in at})
             second = dict(zip(at, _looked(around, at, alone, there, note, deadline_s, finished), strict=True))
-            answers = [second.get(number, one) for number, one in enumerate(answers)]
-        found = found.with_links(links)
-        tip, place = found.tip, found.tip.far_end
-        hanging = [one for one in _where_something_hangs(answers, tip.body) if one not in links]
-        better = place_of_load(found, tip) if hanging else None
+            answers = [second.get(number, answer) for number, answer in enumerate(answers)]
+        dynamics = dynamics.with_links(links)
+        tip, far_end = dynamics.tip, dynamics.tip.far_end
+        hanging = [index for index in _where_something_hangs(answers, tip.body) if index not in links]
+        better = place_of_load(dynamics, tip) if hanging else None
         if better is not None:
             note(
                 "looking again at joints that carry more, for a load where all joints together tell it to be"
             )
-            moved = found.with_load_at(tip.torque(better))
+            moved = dynamics.with_load_at(tip.torque(better))
             second = dict(
                 zip(hanging, _looked(moved, hanging, alone, there, note, deadline_s, finished), strict=True)
             )
             if _explained_by_load(answers, hanging) < _explained_by_load(second, hanging):
-                answers = [second.get(number, one) for number, one in enumerate(answers)]
-                found, place = moved, better
-        whole = _of_the_whole(answers, place)
+                answers = [second.get(number, answer) for number, answer in enumerate(answers)]
+                dynamics, far_end = moved, better
+        whole = _of_the_whole(answers, far_end)
         again = _that_others_may_explain(answers, links) if whole else []
         if again:
             note("looking again at joints that say something else, with base and load as others tell them")
             second = dict(
                 zip(
                     again,
-                    _looked(among(found, whole), again, alone, there, note, deadline_s, finished),
+                    _looked(among(dynamics, whole), again, alone, there, note, deadline_s, finished),
                     strict=True,
                 )
             )
             answers = _explained_by_others(answers, second)
-    if found.lead_s:
-        driven = [one.joint.name for one, _ in answers if found.drive(one.joint) is not None]
-        (parameter,) = found.clock_at(found.robot.actuators[0].input).named_values
-        whole = (*whole, (found.clock, tuple(driven), {parameter: abs(found.lead_s)}))
+    if dynamics.lead_s:
+        driven = [joint.joint.name for joint, _ in answers if dynamics.drive(joint.joint) is not None]
+        (parameter,) = dynamics.clock_at(dynamics.robot.actuators[0].input).named_values
+        whole = (*whole, (dynamics.clock, tuple(driven), {parameter: abs(dynamics.lead_s)}))
     note("simulating the whole robot with what was found")
-    return together(found, answers, whole, start)
+    return together(dynamics, answers, whole, start)
 
 
 def _looked(
-    found: Prescribed,
+    dynamics: Prescribed,
     places: Sequence[int],
     options: Options,
     there: Pool | None,
@@ -136,20 +136,20 @@ def _looked(
     """Diagnose joints, on processes if there are some; the answers are the same and come in the joints' order."""
     if not places:
         return []
-    joints = {place: one_joint(found, place) for place in places}
+    joints = {location: one_joint(dynamics, location) for location in places}
     # the time that is left is shared by the joints that wait for one another
     left_s = max(deadline_s - time.perf_counter(), 0.0) * max(options.workers, 1) / len(places)
-    drawn = found.redrawn(np.random.default_rng(options.seed))
-    least = {place: _least_gap(one, one_joint(drawn, place)) for place, one in joints.items()}
+    drawn = dynamics.redrawn(np.random.default_rng(options.seed))
+    least = {name: _least_gap(joint, one_joint(drawn, name)) for name, joint in joints.items()}
     asked = {
-        place: replace(
+        name: replace(
             options,
             within_s=left_s,
             workers=1,
-            least_gap=max(options.least_gap, one),
-            withhold=(*options.withhold, *(OF_A_TORQUE if joints[place].by_torque else ())),
+            least_gap=max(options.least_gap, gap),
+            withhold=(*options.withhold, *(OF_A_TORQUE if joints[name].by_torque else ())),
         )
-        for place, one in least.items()
+        for name, gap in least.items()
     }
     answers: dict[int, Diagnosis] = {}
     began = time.perf_counter()
@@ -162,31 +162,31 @@ def _looked(
         note(f"{len(answers)} of {len(joints)} joints done{left}{text}")
 
     def here() -> Iterator[tuple[int, Diagnosis]]:
-        for place, one in joints.items():
-            yield place, diagnose_dataset(one.dataset, one.model, asked[place], note=_about(one, told))
+        for name, joint in joints.items():
+            yield name, diagnose_dataset(joint.dataset, joint.model, asked[name], note=_about(joint, told))
 
     jobs = (
-        (place, diagnose_dataset, (one.dataset, one.model, asked[place])) for place, one in joints.items()
+        (name, diagnose_dataset, (joint.dataset, joint.model, asked[name])) for name, joint in joints.items()
     )
     told("")
-    for place, answer in here() if there is None else spread(there, jobs):
-        answers[place] = _announced(answer, least[place], found.own.step_s)
-        causes = " and ".join(cause.name.words for cause in answers[place].causes)
-        finished(joints[place].joint.name, answers[place])
-        told(f"; {joints[place].joint.name}: {causes or answers[place].verdict}")
-    return [(one, answers[place]) for place, one in joints.items()]
+    for index, answer in here() if there is None else spread(there, jobs):
+        answers[index] = _announced(answer, least[index], dynamics.own.step_s)
+        causes = " and ".join(cause.name.words for cause in answers[index].causes)
+        finished(joints[index].joint.name, answers[index])
+        told(f"; {joints[index].joint.name}: {causes or answers[index].verdict}")
+    return [(joint, answers[name]) for name, joint in joints.items()]
 
 
-def _about(one: OneJoint, told: Note) -> Note:
-    return lambda text: told(f"; {one.joint.name}: {text}")
+def _about(joint: OneJoint, note: Note) -> Note:
+    return lambda text: note(f"; {joint.joint.name}: {text}")
 
 
-def _least_gap(one: OneJoint, drawn: OneJoint) -> float:
+def _least_gap(joint: OneJoint, drawn: OneJoint) -> float:
     """Return the gap of a joint, in units of its noise, below which no cause is looked for."""
-    return max(criteria.LEAST_JOINT_GAP, _smoothing_gap(one, drawn))
+    return max(criteria.LEAST_JOINT_GAP, _smoothing_gap(joint, drawn))
 
 
-def _smoothing_gap(one: OneJoint, drawn: OneJoint) -> float:
+def _smoothing_gap(joint: OneJoint, drawn: OneJoint) -> float:
     """Return what smoothing noise out of the others' motion leaves at a joint, in units of the joint's own noise.
 
     A light joint at the end of a long arm feels every acceleration of the others, and so what is wrong with it.
@@ -196,23 +196,23 @@ def _smoothing_gap(one: OneJoint, drawn: OneJoint) -> float:
     drawn
         The same with the noise of all joints drawn again, see `Prescribed.redrawn`.
     """
-    names = [signal.name for signal in one.model.inputs]
-    if one.by_torque:
+    names = [signal.name for signal in joint.model.inputs]
+    if joint.by_torque:
         return 0.0  # its own motion is smoothed as well, and what that leaves is in the noise of its torque
     if names != [signal.name for signal in drawn.model.inputs]:
         return 0.0  # a body was near enough to the share that counts to be taken in once: a small one
     own = [names.index("measured"), names.index("measured_rate")]
     apart, left, substeps = [], [], None
-    for trial, other in zip(one.dataset.trials, drawn.dataset.trials, strict=True):
+    for trial, other in zip(joint.dataset.trials, drawn.dataset.trials, strict=True):
         begin, inputs = trial.inputs[0, own], other.inputs.copy()
         inputs[:, own] = trial.inputs[:, own]
         substeps = substeps or suggest_substeps(
-            one.model, trial.time_s[:50], trial.inputs[:50], initial_state=begin, condition=trial.condition,
+            joint.model, trial.time_s[:50], trial.inputs[:50], initial_state=begin, condition=trial.condition,
             tolerance=1e-3, most=criteria.ROBOT_SUBSTEPS,
         )  # fmt: skip
         courses = [
             simulate(
-                one.model,
+                joint.model,
                 trial.time_s,
                 each,
                 condition=trial.condition,
@@ -224,7 +224,7 @@ def _smoothing_gap(one: OneJoint, drawn: OneJoint) -> float:
         apart.append(courses[1] - courses[0])
         left.append(trial.outputs[:, 0] - trial.inputs[:, own[0]])
     # a gap is told in units of what is believed of a model: where an encoder is finer than that, not in the encoder's
-    spread = float(np.std(np.concatenate([trial.outputs[:, 0] for trial in one.dataset.trials])))
+    spread = float(np.std(np.concatenate([trial.outputs[:, 0] for trial in joint.dataset.trials])))
     noise = max(float(np.sqrt(np.mean(np.square(np.concatenate(left))))), criteria.MODEL_ROUNDING * spread)
     ratio = np.sqrt(np.mean(np.square(np.concatenate(apart)))) / noise
     return float(ratio) if np.isfinite(ratio) else 0.0
@@ -272,23 +272,23 @@ def _quiet(answer: Diagnosis) -> bool:
     return any(note.startswith(_NOT_LOOKED_FOR) for note in answer.notes)
 
 
-def among(found: Prescribed, whole: Sequence[OfTheWhole]) -> Prescribed:
+def among(dynamics: Prescribed, whole: Sequence[OfTheWhole]) -> Prescribed:
     """Return the joints of a robot whose base and load are known."""
-    told = {name: values for name, _, values in whole}
-    tilt, load = told.get("gravity-tilt", {}), told.get("payload", {})
-    found = found.on_base(tilt.get("roll", 0.0), tilt.get("pitch", 0.0))
+    values_of = {name: values for name, _, values in whole}
+    tilt, load = values_of.get("gravity-tilt", {}), values_of.get("payload", {})
+    dynamics = dynamics.on_base(tilt.get("roll", 0.0), tilt.get("pitch", 0.0))
     if not load:
-        return found
+        return dynamics
     at = np.array([load[axis] for axis in "xyz"])  # where links were moved, it is not there yet
-    return found.with_load_at(found.tip.torque(at)).loaded(load["mass"])
+    return dynamics.with_load_at(dynamics.tip.torque(at)).loaded(load["mass"])
 
 
 def _where_something_hangs(answers: Sequence[tuple[OneJoint, Diagnosis]], body: str) -> list[int]:
     """Return the joints that tell a load, or that the last body is heavier than stated: alone they look the same."""
     heavier = f"{identifier(body)}_mass_ratio"
     return [
-        place
-        for place, (_, answer) in enumerate(answers)
+        index
+        for index, (_, answer) in enumerate(answers)
         if {cause.name.effect for cause in answer.causes} & {"payload", heavier}
     ]
 
@@ -298,9 +298,9 @@ def _explained_by_load(
     at: Sequence[int],
 ) -> tuple[int, float]:
     """Return at how many of some joints a load, and nothing else, explains what they lack; and minus what it leaves."""
-    told = [answers[place][1] for place in at]
-    loaded = sum([cause.name.effect for cause in answer.causes] == ["payload"] for answer in told)
-    return loaded, -sum(answer.gap.after**2 for answer in told)
+    message = [answers[index][1] for index in at]
+    loaded = sum([cause.name.effect for cause in answer.causes] == ["payload"] for answer in message)
+    return loaded, -sum(answer.gap.after**2 for answer in message)
 
 
 def _that_others_may_explain(
@@ -308,10 +308,10 @@ def _that_others_may_explain(
 ) -> list[int]:
     """Return the joints that lack something, none of the robot as a whole and no link of their own."""
     return [
-        place
-        for place, (_, answer) in enumerate(answers)
+        index
+        for index, (_, answer) in enumerate(answers)
         if (answer.causes or answer.verdict == "unexplained")
-        and place not in links
+        and index not in links
         and not {cause.name.effect for cause in answer.causes} & set(OF_THE_WHOLE)
     ]
 
@@ -324,22 +324,22 @@ def _explained_by_others(
     A tilt asks the same torque of a joint about the vertical wherever it stands: alone it looks like a constant force.
     """
     return [
-        again[place]
-        if place in again
-        and again[place][1].gap.recalibrated < criteria.EXPLAINED_BY_OTHERS * one[1].gap.recalibrated
-        else one
-        for place, one in enumerate(answers)
+        again[index]
+        if index in again
+        and again[index][1].gap.recalibrated < criteria.EXPLAINED_BY_OTHERS * answer[1].gap.recalibrated
+        else answer
+        for index, answer in enumerate(answers)
     ]
 
 
 def _of_the_whole(
     answers: Sequence[tuple[OneJoint, Diagnosis]], load_at: FloatArray
 ) -> tuple[OfTheWhole, ...]:
-    found: list[OfTheWhole] = []
+    wholes: list[OfTheWhole] = []
     for effect in OF_THE_WHOLE:
         shown = [
-            (one.joint.name, cause)
-            for one, answer in answers
+            (joint.joint.name, cause)
+            for joint, answer in answers
             for cause in answer.causes
             if cause.name.effect == effect
         ]
@@ -349,5 +349,5 @@ def _of_the_whole(
                 for name in shown[0][1].values
             }
             values |= dict(zip("xyz", load_at.tolist(), strict=True)) if effect == "payload" else {}
-            found.append((effect, tuple(name for name, _ in shown), values))
-    return tuple(found)
+            wholes.append((effect, tuple(name for name, _ in shown), values))
+    return tuple(wholes)

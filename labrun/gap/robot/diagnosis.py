@@ -52,13 +52,13 @@ class JointDiagnosis:
         if self.diagnosis.causes or self.diagnosis.verdict == "unexplained" or self.diagnosis.gap.raw <= 1.0:
             return {}
         return {
-            name.removesuffix("_ratio"): found / stated
-            for name, (stated, tolerance, found) in self.diagnosis.recalibration.items()
+            name.removesuffix("_ratio"): estimate / stated
+            for name, (stated, tolerance, estimate) in self.diagnosis.recalibration.items()
             if isinstance(tolerance, float)
             and stated
             and 0
             < criteria.FAR_MOVED * tolerance
-            <= min(abs(one / stated - 1.0) for one in (found, self.agreed.get(name, found)))
+            <= min(abs(value / stated - 1.0) for value in (estimate, self.agreed.get(name, estimate)))
         }
 
 
@@ -95,7 +95,7 @@ class RobotDiagnosis:
     @property
     def named(self) -> tuple[JointDiagnosis, ...]:
         """The joints at which a cause was found."""
-        return tuple(one for one in self.joints if one.diagnosis.causes)
+        return tuple(joint for joint in self.joints if joint.diagnosis.causes)
 
     @property
     def verdict(self) -> Verdict:
@@ -114,24 +114,25 @@ class RobotDiagnosis:
     @property
     def sentence(self) -> str:
         """The answer, as a sentence."""
-        found = [
-            f"{one.joint.name}: {' and '.join(cause.name.words.partition(' at ')[0] for cause in one.diagnosis.causes)}"
-            for one in self.named
+        texts = [
+            f"{named_cause.joint.name}: "
+            f"{' and '.join(cause.name.words.partition(' at ')[0] for cause in named_cause.diagnosis.causes)}"
+            for named_cause in self.named
         ]
-        unexplained = [one.joint.name for one in self.joints if one.diagnosis.verdict == "unexplained"]
-        found += [_clock_words(name, values) for name, _, values in self.whole if name in OF_THE_LOG]
-        told = "; ".join(found) if found else "nothing but recalibration is asked for at any joint"
-        far = [f"{name} {100 * (by - 1):+.2g} %" for one in self.joints for name, by in one.moved.items()]
-        if far and not found:
-            told = f"parameters are far from what is stated: {', '.join(far)}"
+        unexplained = [joint.joint.name for joint in self.joints if joint.diagnosis.verdict == "unexplained"]
+        texts += [_clock_words(name, values) for name, _, values in self.whole if name in OF_THE_LOG]
+        message = "; ".join(texts) if texts else "nothing but recalibration is asked for at any joint"
+        far = [f"{name} {100 * (by - 1):+.2g} %" for joint in self.joints for name, by in joint.moved.items()]
+        if far and not texts:
+            message = f"parameters are far from what is stated: {', '.join(far)}"
         several = self.named and len(self.joints) > 1
         count = f"{len(self.named)} of {len(self.joints)} joints lack physics: " if several else ""
         rest = f"; unexplained: {', '.join(unexplained)}" if unexplained else ""
-        rest += f"; far from what is stated: {', '.join(far)}" if far and found else ""
-        if self.headline and not found:
+        rest += f"; far from what is stated: {', '.join(far)}" if far and texts else ""
+        if self.headline and not texts:
             return f"{'; '.join(self.headline)}{rest}."
         first = "".join(f"{sentence}; " for sentence in self.headline)
-        return f"{first}{count}{told}{rest}."
+        return f"{first}{count}{message}{rest}."
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap diagnose --json`` prints, with what makes the corrected model."""
@@ -143,12 +144,12 @@ class RobotDiagnosis:
             "source": self.source,
             "joints": [
                 {
-                    "joint": one.joint.name, "unit": one.joint.unit, "stated": _number(one.stated),
-                    "recalibrated": _number(one.recalibrated), "corrected": _number(one.corrected),
-                    **({"error_unit": one.error_unit} if one.error_unit else {}),
-                    "moved": one.moved, "diagnosis": one.diagnosis.to_json(),
+                    "joint": joint.joint.name, "unit": joint.joint.unit, "stated": _number(joint.stated),
+                    "recalibrated": _number(joint.recalibrated), "corrected": _number(joint.corrected),
+                    **({"error_unit": joint.error_unit} if joint.error_unit else {}),
+                    "moved": joint.moved, "diagnosis": joint.diagnosis.to_json(),
                 }
-                for one in self.joints
+                for joint in self.joints
             ],
             "whole": [
                 {"effect": name, "joints": list(joints), "values": dict(values)}
@@ -156,8 +157,11 @@ class RobotDiagnosis:
             ],
             "corrected": dict(self.values),
             "effects": [
-                {"effect": one.effect.id, "kind": one.effect.kind, "site": one.site, "values": list(one.values)}
-                for one in self.effects
+                {
+                    "effect": effect.effect.id, "kind": effect.effect.kind,
+                    "site": effect.site, "values": list(effect.values),
+                }
+                for effect in self.effects
             ],
             "notes": list(self.remarks),
             "data": {
@@ -169,7 +173,7 @@ class RobotDiagnosis:
             "limitations": [],
             "causes": [
                 *(cause_json(cause) for cause in self.whole_causes),
-                *(cause for one in self.joints for cause in one.diagnosis.to_json()["causes"]),
+                *(cause for joint in self.joints for cause in joint.diagnosis.to_json()["causes"]),
             ],
             "seconds": round(self.seconds, 2),
         }  # fmt: skip

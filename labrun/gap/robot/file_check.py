@@ -179,15 +179,15 @@ def check_file(
     answers = {joint["joint"]: joint["diagnosis"] for joint in diagnosis["joints"]}
     around = as_diagnosed(prescribed(robot, model, pieces.dataset), diagnosis, answers)
     fitted: list[list[list[Correction]]] = []
-    for place, joint in enumerate(robot.joints):
-        note(f"fitting without parts of the log: {joint.name}, {place + 1} of {len(robot.joints)} joints")
+    for index, joint in enumerate(robot.joints):
+        note(f"fitting without parts of the log: {joint.name}, {index + 1} of {len(robot.joints)} joints")
         own = [effect for effect in effects_of(answers[joint.name]) if effect.effect.id not in OF_THE_WHOLE]
         released = [
             cause["effect"] for cause in answers[joint.name]["causes"] if cause["kind"] == "parameter"
         ]
         fitted.append(
             _corrections(
-                one_joint(around, place), own, released, answers[joint.name]["corrected"], pieces.fold
+                one_joint(around, index), own, released, answers[joint.name]["corrected"], pieces.fold
             )
         )
     whole = _of_the_whole(model, diagnosis)
@@ -203,13 +203,13 @@ def check_file(
         CheckedJoint(
             joint.name,
             joint.unit,
-            float(errors[0][place]),
-            float(errors[1][place]),
-            float(errors[2][place]),
-            _words(fitted[place][in_model.choice[place]][-1]),
-            _words(fitted[place][in_file.choice[place]][-1]),
+            float(errors[0][index]),
+            float(errors[1][index]),
+            float(errors[2][index]),
+            _words(fitted[index][in_model.choice[index]][-1]),
+            _words(fitted[index][in_file.choice[index]][-1]),
         )
-        for place, joint in enumerate(robot.joints)
+        for index, joint in enumerate(robot.joints)
     )
     return FileCheck(joints, len(pieces.dataset.trials), in_model.written, in_file.written)
 
@@ -265,15 +265,15 @@ def _corrections(
         count = len(values) + sum(len(effect.values) for effect in effects)
         return [nothing, [Correction(values, tuple(effects), count)] * (folds + 1)] if count else [nothing]
     kinds: list[_Moved] = ["none", "free", "all"] if effects or released else ["free", "all"]
-    found, moved_before = [nothing], -1
+    corrections, moved_before = [nothing], -1
     for kind in kinds:
         moved = _variables_moved(problem, kind, released)
         if int(moved.sum()) == moved_before or not (effects or moved.any()):
             continue
         moved_before = int(moved.sum())
         withheld = [_fitted(problem, start, moved, fold != number, released) for number in range(folds)]
-        found.append([*withheld, _fitted(problem, start, moved, fold >= 0, released)])
-    return found
+        corrections.append([*withheld, _fitted(problem, start, moved, fold >= 0, released)])
+    return corrections
 
 
 def _problem(
@@ -421,12 +421,12 @@ class Pieces:
     def by_labrun(self, model: Model, chosen: Sequence[int]) -> list[FloatArray]:
         """Return positions (n, joints) of some pieces, by the model that labrun integrates."""
         model = model.with_between({signal.name: signal.between for signal in self.dataset.inputs})
-        found, substeps = [], None
+        runs, substeps = [], None
         for index in chosen:
             trial, (position, rate) = self.dataset.trials[index], self.begins[index].T
             state = dict(zip([signal.name for signal in self.dataset.outputs], trial.outputs[0], strict=True))
-            for place, joint in enumerate(self.robot.joints):
-                state |= {joint.output: position[place], f"{joint.output}_rate": rate[place]}
+            for joint_index, joint in enumerate(self.robot.joints):
+                state |= {joint.output: position[joint_index], f"{joint.output}_rate": rate[joint_index]}
             start = np.array([state.get(name, 0.0) for name in model.states])
             substeps = substeps or suggest_substeps(
                 model, trial.time_s[:50], self.inputs[index][:50], initial_state=start, tolerance=1e-3,
@@ -436,8 +436,8 @@ class Pieces:
                 model, trial.time_s, self.inputs[index], initial_state=start, condition=trial.condition,
                 substeps=substeps,
             )  # fmt: skip
-            found.append(made.outputs[:, self.columns])
-        return found
+            runs.append(made.outputs[:, self.columns])
+        return runs
 
     def by_mujoco(self, model: Model, chosen: Sequence[int]) -> list[FloatArray]:
         """Return positions (n, joints) of some pieces, by the exported MJCF in MuJoCo."""
@@ -462,14 +462,14 @@ class Pieces:
 
     def errors(self, simulator: _Simulator, models: Sequence[Model]) -> list[FloatArray]:
         """Return squared errors (n, joints) of every piece, each simulated by the model that has not seen its fold."""
-        found: list[FloatArray] = [np.empty(0)] * len(self.dataset.trials)
+        errors: list[FloatArray] = [np.empty(0)] * len(self.dataset.trials)
         for number, model in enumerate(models):
             chosen = np.flatnonzero(self.fold == number).tolist()
             for index, made in zip(chosen, simulator(model, chosen), strict=True):
                 square = np.square(self.dataset.trials[index].outputs[:, self.columns] - made)
                 most = _DIVERGED * np.square(np.maximum(self.travel, 1e-12))
-                found[index] = np.where(np.isfinite(square), np.minimum(square, most), most)
-        return found
+                errors[index] = np.where(np.isfinite(square), np.minimum(square, most), most)
+        return errors
 
     def rms(self, errors: Sequence[FloatArray]) -> FloatArray:
         """Return the root mean square of every joint; infinite where a simulation diverges."""
@@ -499,12 +499,14 @@ def _on_time(trial: FitTrial, dataset: Dataset, lead_s: float) -> FloatArray:
     """Return the inputs of a trial as early as they act."""
     if not lead_s:
         return trial.inputs
-    at_s, found = trial.time_s + lead_s, np.empty_like(trial.inputs)
+    at_s, inputs = trial.time_s + lead_s, np.empty_like(trial.inputs)
     rows = np.clip(np.searchsorted(trial.time_s, at_s, side="right") - 1, 0, len(trial.time_s) - 1)
     for column, signal in enumerate(dataset.inputs):
         values = trial.inputs[:, column]
-        found[:, column] = values[rows] if signal.between == "hold" else np.interp(at_s, trial.time_s, values)
-    return found
+        inputs[:, column] = (
+            values[rows] if signal.between == "hold" else np.interp(at_s, trial.time_s, values)
+        )
+    return inputs
 
 
 def _cut(robot: Robot, dataset: Dataset) -> list[FitTrial]:
@@ -573,31 +575,31 @@ class _Check:
         ]
         choice = [0] * count
         moves_as_stated = np.mean(np.concatenate(stated), axis=0) <= 2.0 * self.pieces.floor
-        for place, corrections in enumerate(self.fitted):
-            if moves_as_stated[place]:
+        for index, corrections in enumerate(self.fitted):
+            if moves_as_stated[index]:
                 continue  # to within one trial's noise: gain, damping and mass trade for one another there
             rows = [
                 level
                 for level in range(1, len(corrections))
-                if decide.beats(tables[level][place], before[place], strata)
-                and decide.beats(tables[level][place], tables[0][place], strata)
+                if decide.beats(tables[level][index], before[index], strata)
+                and decide.beats(tables[level][index], tables[0][index], strata)
             ]
             if rows:
                 sizes = [(corrections[row][-1].size, row) for row in rows]
-                table = np.array([tables[row][place] for row in rows])
-                choice[place] = rows[decide.leader(table, sizes, strata)]
+                table = np.array([tables[row][index] for row in rows])
+                choice[index] = rows[decide.leader(table, sizes, strata)]
         choice, errors = self._simplified(choice, whole)
         while True:
             after = self.pieces.log_errors(errors)
-            gains = [decide.compare(before[place], after[place], strata) for place in range(count)]
-            worse = [place for place in range(count) if decide.beats(before[place], after[place], strata)]
-            dropped = [place for place in range(count) if choice[place] and not gains[place].is_better]
-            kept = [place for place in range(count) if choice[place] and place not in dropped]
+            gains = [decide.compare(before[index], after[index], strata) for index in range(count)]
+            worse = [index for index in range(count) if decide.beats(before[index], after[index], strata)]
+            dropped = [index for index in range(count) if choice[index] and not gains[index].is_better]
+            kept = [index for index in range(count) if choice[index] and index not in dropped]
             if not dropped and worse and kept:
-                dropped = [min(kept, key=lambda place: gains[place].mean)]
+                dropped = [min(kept, key=lambda index: gains[index].mean)]
             if not dropped:
                 break
-            choice = [0 if place in dropped else level for place, level in enumerate(choice)]
+            choice = [0 if index in dropped else level for index, level in enumerate(choice)]
             errors = self._errors(tuple(choice), whole)
         useless = worse or not any(gain.is_better for gain in gains)
         score = np.inf if useless and (whole.values or whole.effects) else float(np.mean(after))
@@ -606,11 +608,11 @@ class _Check:
     def _simplified(self, choice: list[int], whole: Written) -> tuple[list[int], list[FloatArray]]:
         """Return the corrections without those that another joint's correction makes needless, and the errors left."""
         strata, errors = self.pieces.strata, self._errors(tuple(choice), whole)
-        for place in range(len(choice)):
-            for level in range(choice[place]):
-                simpler = [*choice[:place], level, *choice[place + 1 :]]
+        for index in range(len(choice)):
+            for level in range(choice[index]):
+                simpler = [*choice[:index], level, *choice[index + 1 :]]
                 without = self._errors(tuple(simpler), whole)
-                now, then = (self.pieces.log_errors(each)[place] for each in (errors, without))
+                now, then = (self.pieces.log_errors(each)[index] for each in (errors, without))
                 if not decide.beats(now, then, strata):
                     choice, errors = simpler, without
                     break
@@ -626,20 +628,20 @@ class _Check:
     def _written(self, choice: tuple[int, ...], whole: Written, fold: int) -> Written:
         """Return parameters and effects of the whole robot; a mass is the mean over the joints that moved it."""
         stated = {parameter.name: parameter.value for parameter in self.model.parameters}
-        told: dict[str, list[float]] = {}
+        message: dict[str, list[float]] = {}
         effects: list[AttachedEffect] = list(whole.effects)
-        for place, level in enumerate(choice):
-            correction = self.fitted[place][level][fold]
+        for index, level in enumerate(choice):
+            correction = self.fitted[index][level][fold]
             for name, value in correction.values.items():
                 if name in stated:
-                    told[name] = [value]
+                    message[name] = [value]
                 elif (mass := name.removesuffix("_ratio")) in stated:
-                    told.setdefault(mass, []).append(value * stated[mass])
+                    message.setdefault(mass, []).append(value * stated[mass])
             for effect in correction.effects:
                 try:
                     effect.check(self.model)
                 except LabrunError:
                     continue  # of one joint's own equation: the whole robot has no such site
                 effects.append(effect)
-        values = {name: float(np.mean(numbers)) for name, numbers in told.items()}
+        values = {name: float(np.mean(numbers)) for name, numbers in message.items()}
         return Written(values | dict(whole.values), tuple(effects))

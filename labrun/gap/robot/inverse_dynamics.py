@@ -151,12 +151,12 @@ def motion_band_hz(courses: Sequence[Course]) -> float:
         size = np.maximum(rates.std(axis=0), 1e-12)
         spectrum = np.square(np.abs(np.fft.rfft(rates / size, axis=0))).sum(axis=1)
         frequencies = np.fft.rfftfreq(len(rates), course.step_s)
-        for frequency, one in zip(frequencies.tolist(), spectrum.tolist(), strict=True):
-            power[frequency] = power.get(frequency, 0.0) + one
+        for frequency, amplitude in zip(frequencies.tolist(), spectrum.tolist(), strict=True):
+            power[frequency] = power.get(frequency, 0.0) + amplitude
     ordered = sorted(power)
     total = np.cumsum([power[frequency] for frequency in ordered])
-    place = int(np.searchsorted(total, _BAND_POWER * total[-1]))
-    return max(ordered[place], 1.0 / float(courses[0].time_s[-1] - courses[0].time_s[0]))
+    index = int(np.searchsorted(total, _BAND_POWER * total[-1]))
+    return max(ordered[index], 1.0 / float(courses[0].time_s[-1] - courses[0].time_s[0]))
 
 
 def moves(rate: FloatArray, speed: float, length: int) -> NDArray[np.bool_]:
@@ -250,7 +250,7 @@ def choose_cut(courses: Sequence[Course], columns: Columns, blocks: int) -> Cut:
                 criteria.STANDARD_ERRORS * deviation, 0.5 * criteria.MARGIN * abs(size)
             )
         stable_at.append(agrees)
-    count = next((place for place, agrees in enumerate(stable_at) if not agrees), len(stable_at))
+    count = next((index for index, agrees in enumerate(stable_at) if not agrees), len(stable_at))
     scales = estimates.mean(axis=2)
     return Cut(float(tried[count]), tried, scales, stable=count > 0)
 
@@ -276,8 +276,8 @@ def _scales(courses: Sequence[Course], columns: Columns, cut_hz: float, blocks: 
         right = normal[:, :-1, -1]
         solved = np.array(
             [
-                np.linalg.lstsq(one[:-1, :-1], side, rcond=1e-10)[0][0]
-                for one, side in zip(normal, right, strict=True)
+                np.linalg.lstsq(row[:-1, :-1], side, rcond=1e-10)[0][0]
+                for row, side in zip(normal, right, strict=True)
             ]
         )
         result.append(solved * scale[:, -1] / scale[:, 0])

@@ -108,8 +108,8 @@ class LinearEvidence:
         size = len(self.precision)
         matrix, right = np.zeros((size, size)), np.zeros(size)
         for gram, weight in zip(self.grams, self.weights, strict=True):
-            place = np.ix_(gram.columns, gram.columns)
-            matrix[place] += weight * np.tensordot(units, gram.squares, 1)
+            index = np.ix_(gram.columns, gram.columns)
+            matrix[index] += weight * np.tensordot(units, gram.squares, 1)
             right[gram.columns] += weight * (units @ gram.products)
         return matrix, right
 
@@ -168,7 +168,9 @@ class LinearEvidence:
         """Return the coefficients (units, active) of the fits without each unit."""
         matrices, rights = self._folds
         normal = matrices[:, active[:, None], active] + np.diag(self.ridge[active])
-        return np.array([_solve(one, right) for one, right in zip(normal, rights[:, active], strict=True)])
+        return np.array(
+            [_solve(matrix, right) for matrix, right in zip(normal, rights[:, active], strict=True)]
+        )
 
     def _errors(
         self, active: IntArray, values: FloatArray, joints: Collection[int] | None = None
@@ -206,16 +208,16 @@ class LinearEvidence:
         normal = matrices[:, active[:, None], active] + np.diag(self.ridge[active])
         across = matrices[:, active[:, None], added]
         both = np.concatenate([rights[:, active][:, :, None], across], axis=2)
-        solved = np.array([_solve(one, side) for one, side in zip(normal, both, strict=True)])
+        solved = np.array([_solve(matrix, side) for matrix, side in zip(normal, both, strict=True)])
         base, ways = solved[:, :, 0], solved[:, :, 1:]
         complement = matrices[:, added[:, None], added] - np.swapaxes(across, 1, 2) @ ways
         left = rights[:, added] - np.einsum("uka,uk->ua", across, base)
-        place = {int(column): number for number, column in enumerate(added)}
+        numbers = {int(column): number for number, column in enumerate(added)}
         errors = []
         for group, wanted in zip(groups, joints, strict=True):
-            rows = np.array([place[int(column)] for column in group])
+            rows = np.array([numbers[int(column)] for column in group])
             inner = complement[:, rows[:, None], rows] + np.diag(self.ridge[group])
-            new = np.array([_solve(one, side) for one, side in zip(inner, left[:, rows], strict=True)])
+            new = np.array([_solve(matrix, side) for matrix, side in zip(inner, left[:, rows], strict=True)])
             old = base - np.einsum("uka,ua->uk", ways[:, :, rows], new)
             both = np.concatenate([old, new], axis=1)
             errors.append((self._errors(np.concatenate([active, group]), both, wanted), new))

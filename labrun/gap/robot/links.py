@@ -26,49 +26,49 @@ Links = dict[int, list[FloatArray]]
 
 
 def beside_encoders(
-    found: Prescribed, answers: Sequence[tuple[OneJoint, Sequence[AttachedEffect], Mapping[str, float]]]
+    prescribed: Prescribed, answers: Sequence[tuple[OneJoint, Sequence[AttachedEffect], Mapping[str, float]]]
 ) -> Links:
     """Return how far joints are from what was measured of them, as the causes there say.
 
     Of every joint the causes and the parameters beside them are given.
     """
-    told = {place: _beside(found, place, *answer) for place, answer in enumerate(answers)}
-    return {place: by for place, by in told.items() if by}
+    message = {index: _beside(prescribed, index, *answer) for index, answer in enumerate(answers)}
+    return {name: by for name, by in message.items() if by}
 
 
 def _beside(
-    found: Prescribed,
-    place: int,
-    one: OneJoint,
+    prescribed: Prescribed,
+    joint_index: int,
+    joint: OneJoint,
     effects: Sequence[AttachedEffect],
     corrected: Mapping[str, float],
 ) -> list[FloatArray]:
     """Return how far a joint is from what was measured of it in every trial; empty where no cause says that it is."""
     soft = [effect for effect in effects if effect.effect.kind == "link"]
-    sensors = [effect for effect in effects if effect.effect.kind == "output" and not one.by_torque]
+    sensors = [effect for effect in effects if effect.effect.kind == "output" and not joint.by_torque]
     by: list[FloatArray] = []
     if soft:
-        each = range(len(one.dataset.trials))
-        by = [-soft[0].values[0] * found.carried(number, place)[0][:, 0] for number in each]
+        each = range(len(joint.dataset.trials))
+        by = [-soft[0].values[0] * prescribed.carried(number, joint_index)[0][:, 0] for number in each]
     elif sensors:
         rest = [effect for effect in effects if effect not in sensors]
-        link = one.model.with_values(corrected).with_effects(rest)
+        link = joint.model.with_values(corrected).with_effects(rest)
         by = [
-            _alone(link, trial, one.joint) - _alone(link.with_effects(sensors), trial, one.joint)
-            for trial in one.dataset.trials
+            _alone(link, trial, joint.joint) - _alone(link.with_effects(sensors), trial, joint.joint)
+            for trial in joint.dataset.trials
         ]
     return by if by and np.isfinite(np.concatenate(by)).all() else []
 
 
 def _alone(model: Model, trial: FitTrial, joint: RobotJoint) -> FloatArray:
     """Return the angle that a joint's own model makes of a trial, which begins as it was measured."""
-    names = [one.name for one in model.inputs]
+    names = [signal.name for signal in model.inputs]
     begin = [trial.inputs[0, names.index("measured")], trial.inputs[0, names.index("measured_rate")]]
     made = simulate(model, trial.time_s, trial.inputs, condition=trial.condition, initial_state=begin)
-    return made.outputs[:, [one.name for one in model.outputs].index(joint.output)]
+    return made.outputs[:, [output.name for output in model.outputs].index(joint.output)]
 
 
-def links_that_explain(found: Prescribed, lacking: Sequence[int], seed: int) -> Links:
+def links_that_explain(prescribed: Prescribed, lacking: Sequence[int], seed: int) -> Links:
     """Return the links that are not where their encoders say, of joints by which others lack less than half as much.
 
     Whoever explains most of the others is taken first; the others are asked beside it.
@@ -81,37 +81,37 @@ def links_that_explain(found: Prescribed, lacking: Sequence[int], seed: int) -> 
     known: Links = {}
     if len(lacking) < 2:
         return known
-    alone = {place: one_joint(found, place) for place in lacking}
-    fitted = {place: _recalibrated(one, seed) for place, one in alone.items()}
-    had = {place: _gap(one) for place, one in fitted.items()}
+    alone = {joint_index: one_joint(prescribed, joint_index) for joint_index in lacking}
+    fitted = {name: _recalibrated(fit, seed) for name, fit in alone.items()}
+    had = {name: _gap(fit) for name, fit in fitted.items()}
     asked = [
-        (place, by)
-        for place in lacking
-        for by in _that_explain_their_own(found, place, alone[place], fitted[place])
+        (index, by)
+        for index in lacking
+        for by in _that_explain_their_own(prescribed, index, alone[index], fitted[index])
     ]
     while asked:
         most, best, after = 0.0, None, had
-        for place, by in asked:
-            around = found.with_links({**known, place: by})
-            others = [other for other in had if other != place and other not in known]
+        for index, by in asked:
+            around = prescribed.with_links({**known, index: by})
+            others = [other for other in had if other != index and other not in known]
             left = {other: _gap(_recalibrated(one_joint(around, other), seed)) for other in others}
             explained = {
                 other for other, gap in left.items() if gap < criteria.EXPLAINED_BY_OTHERS * had[other]
             }
             removed = sum(had[other] ** 2 - left[other] ** 2 for other in explained)
             if removed > most:
-                most, best, after = removed, (place, by), {**had, **left}
+                most, best, after = removed, (index, by), {**had, **left}
         if best is None:
             break
-        place, by = best
-        known[place], had = by, after
+        index, by = best
+        known[index], had = by, after
         # what asked for a link there may have been this one
-        asked = [one for one in asked if one[0] != place and after[one[0]] >= criteria.LEAST_JOINT_GAP]
+        asked = [pair for pair in asked if pair[0] != index and after[pair[0]] >= criteria.LEAST_JOINT_GAP]
     return known
 
 
 def _that_explain_their_own(
-    found: Prescribed, place: int, one: OneJoint, fitted: Recalibrated
+    prescribed: Prescribed, joint_index: int, joint: OneJoint, fitted: Recalibrated
 ) -> Iterator[list[FloatArray]]:
     """Yield where a link may be beside its encoder: as causes say that leave less than half of the joint's own gap."""
     problem, z = fitted.problem, fitted.z
@@ -131,13 +131,15 @@ def _that_explain_their_own(
         named = {
             each.name: float(value) for each, value in zip(problem.model.parameters, values, strict=True)
         }
-        by = _beside(found, place, one, end.problem.attached(end.problem.parameters(end.z)), named)
+        by = _beside(
+            prescribed, joint_index, joint, end.problem.attached(end.problem.parameters(end.z)), named
+        )
         if by:
             yield by
 
 
-def _recalibrated(one: OneJoint, seed: int) -> Recalibrated:
-    return recalibrate(one.model, averaged(one.dataset, one.model), np.random.default_rng(seed), silent)
+def _recalibrated(joint: OneJoint, seed: int) -> Recalibrated:
+    return recalibrate(joint.model, averaged(joint.dataset, joint.model), np.random.default_rng(seed), silent)
 
 
 def _gap(fitted: Recalibrated) -> float:

@@ -84,11 +84,11 @@ class Prescribed:
     @property
     def sample_s(self) -> float:
         """The usual time between samples."""
-        return float(np.median(np.concatenate([np.diff(one.time_s) for one in self.dataset.trials])))
+        return float(np.median(np.concatenate([np.diff(trial.time_s) for trial in self.dataset.trials])))
 
     def late_s(self, channel: str) -> float:
         """Return by how much an input acts late on the whole: half a sample where it is held from one to the next."""
-        between = next(one.between for one in self.dataset.inputs if one.name == channel)
+        between = next(signal.between for signal in self.dataset.inputs if signal.name == channel)
         return 0.5 * self.sample_s if between == "hold" else 0.0
 
     def led(self, lead_s: float) -> "Prescribed":
@@ -106,70 +106,70 @@ class Prescribed:
 
     def drive(self, joint: RobotJoint) -> RobotActuator | None:
         """Return what drives a joint."""
-        return next((one for one in self.robot.actuators if one.joint == joint.name), None)
+        return next((actuator for actuator in self.robot.actuators if actuator.joint == joint.name), None)
 
     def torque_of(self, joint: RobotJoint) -> RobotActuator | None:
         """Return what drives a joint if the log holds its torque as it was exerted; None otherwise."""
         drive = self.drive(joint)
         if drive is None or drive.command not in ("torque", "geared"):
             return None
-        column = [one.name for one in self.dataset.inputs].index(drive.input)
-        told = np.concatenate([trial.inputs[:, column] for trial in self.dataset.trials])
+        column = [signal.name for signal in self.dataset.inputs].index(drive.input)
+        message = np.concatenate([trial.inputs[:, column] for trial in self.dataset.trials])
         gains = self.own.drives[joint.name]
         low, high = np.sort(np.array(gains.limits) / gains.gear) if gains.gear else (0.0, 0.0)
-        return drive if low < told.min() and told.max() < high else None
+        return drive if low < message.min() and message.max() < high else None
 
     def on_base(self, roll: float, pitch: float) -> "Prescribed":
         """Return the same with a base that is tilted by these angles (rad)."""
-        tilted = tuple(roll * one.tilt[:, :, 0] + pitch * one.tilt[:, :, 1] for one in self.terms)
+        tilted = tuple(roll * term.tilt[:, :, 0] + pitch * term.tilt[:, :, 1] for term in self.terms)
         return replace(self, around=tilted)
 
     def loaded(self, mass_kg: float) -> "Prescribed":
         """Return the same with a load where one is looked for."""
-        before = self.around or tuple(np.zeros_like(one.load) for one in self.terms)
-        more = tuple(was + mass_kg * one.load for was, one in zip(before, self.terms, strict=True))
+        before = self.around or tuple(np.zeros_like(term.load) for term in self.terms)
+        more = tuple(was + mass_kg * term.load for was, term in zip(before, self.terms, strict=True))
         return replace(self, around=more)
 
-    def carried(self, number: int, place: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def carried(self, number: int, joint_index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return what a joint carries in a trial, without noise, and its first two derivatives."""
         terms, (_, _, acceleration) = self.terms[number], self.motions[number]
-        torque = terms.torque[:, place] + terms.inertia[:, place] * acceleration[:, [place]]
+        torque = terms.torque[:, joint_index] + terms.inertia[:, joint_index] * acceleration[:, [joint_index]]
         return smoothed(self.dataset.trials[number].time_s, torque.sum(axis=1, keepdims=True))
 
-    def given_way(self, number: int, place: int) -> FloatArray:
+    def given_way(self, number: int, joint_index: int) -> FloatArray:
         """Return what a drive exerts less for each rad (m) that the link gives way by each N m (N) it carries.
 
         The link, and what hangs on it, is then not where the encoder of the motor is: to first order, inertia and
         slopes of the equations of motion times what it carries tell how much that is.
         """
         terms = self.terms[number]
-        torque, first, second = (one[:, 0] for one in self.carried(number, place))
-        inertia = terms.inertia[:, place].sum(axis=1)
+        torque, first, second = (course[:, 0] for course in self.carried(number, joint_index))
+        inertia = terms.inertia[:, joint_index].sum(axis=1)
         less: FloatArray = (
-            inertia * second + terms.slope[:, place] * torque + terms.rate_slope[:, place] * first
+            inertia * second + terms.slope[:, joint_index] * torque + terms.rate_slope[:, joint_index] * first
         )
         return less
 
     @property
     def tip(self) -> TipLoad:
         """A kilogram on the last body along the whole log."""
-        q, rate, acceleration = (np.concatenate([one[k] for one in self.motions]) for k in range(3))
-        return TipLoad(self.robot.xml, [one.name for one in self.robot.joints], (q, rate, acceleration))
+        q, rate, acceleration = (np.concatenate([motion[k] for motion in self.motions]) for k in range(3))
+        return TipLoad(self.robot.xml, [joint.name for joint in self.robot.joints], (q, rate, acceleration))
 
     def with_load_at(self, torque: FloatArray) -> "Prescribed":
         """Return the same with a load looked for where a kilogram asks this of the joints, (all samples, joints)."""
-        parts = np.split(torque, np.cumsum([len(one.load) for one in self.terms])[:-1])
-        terms = tuple(replace(one, load=part) for one, part in zip(self.terms, parts, strict=True))
+        parts = np.split(torque, np.cumsum([len(term.load) for term in self.terms])[:-1])
+        terms = tuple(replace(term, load=part) for term, part in zip(self.terms, parts, strict=True))
         return replace(self, terms=terms)
 
-    def with_links(self, beside: Mapping[int, Sequence[FloatArray]]) -> "Prescribed":
+    def with_links(self, link_torques: Mapping[int, Sequence[FloatArray]]) -> "Prescribed":
         """Return the same with joints that stand beside what was measured of them, by place and trial, by so much."""
-        if not beside:
+        if not link_torques:
             return self
-        links = [np.zeros((len(one.time_s), len(self.robot.joints))) for one in self.dataset.trials]
-        for place, by in beside.items():
-            for of_trial, one in zip(links, by, strict=True):
-                of_trial[:, place] = one
+        links = [np.zeros((len(trial.time_s), len(self.robot.joints))) for trial in self.dataset.trials]
+        for name, by in link_torques.items():
+            for of_trial, course in zip(links, by, strict=True):
+                of_trial[:, name] = course
         pairs = zip(self.dataset.trials, links, strict=True)
         moved = self._measured([trial.outputs[:, self._columns] + by for trial, by in pairs])
         return replace(moved, around=(), links=tuple(links))
@@ -178,7 +178,7 @@ class Prescribed:
         """Return what would be prescribed if this motion were the true one, measured again with the same noise."""
         measured = [trial.outputs[:, self._columns] for trial in self.dataset.trials]
         if self.links:
-            measured = [one + by for one, by in zip(measured, self.links, strict=True)]
+            measured = [torque + by for torque, by in zip(measured, self.links, strict=True)]
         smooth = [q for q, _, _ in self.motions]
         left = np.concatenate(measured) - np.concatenate(smooth)
         noise = np.sqrt(np.mean(np.square(left), axis=0))
@@ -186,15 +186,15 @@ class Prescribed:
 
     @property
     def _columns(self) -> list[int]:
-        names = [one.name for one in self.dataset.outputs]
-        return [names.index(one.output) for one in self.robot.joints]
+        names = [output.name for output in self.dataset.outputs]
+        return [names.index(joint.output) for joint in self.robot.joints]
 
     def _measured(self, angles: Sequence[FloatArray]) -> "Prescribed":
         """Return the same with motion and torques of these angles, (n, joints) of every trial, and the log as it is."""
         trials = []
-        for trial, one in zip(self.dataset.trials, angles, strict=True):
+        for trial, angle in zip(self.dataset.trials, angles, strict=True):
             outputs = trial.outputs.copy()
-            outputs[:, self._columns] = one
+            outputs[:, self._columns] = angle
             trials.append(replace(trial, outputs=outputs))
         made = prescribed(self.robot, self.whole, replace(self.dataset, trials=tuple(trials)))
         return replace(self, motions=made.motions, terms=made.terms)
@@ -202,17 +202,17 @@ class Prescribed:
 
 def why_not(robot: Robot, dataset: Dataset) -> str:
     """Return why a robot cannot be taken apart into its joints; "" if it can."""
-    measured = {one.name for one in dataset.outputs}
-    missing = [one.name for one in robot.joints if one.output not in measured]
+    measured = {output.name for output in dataset.outputs}
+    missing = [joint.name for joint in robot.joints if joint.output not in measured]
     if missing:
         return f"the log has no angle of {', '.join(missing)}"
-    coupled = robot_terms(robot.xml, [one.name for one in robot.joints]).coupled
+    coupled = robot_terms(robot.xml, [joint.name for joint in robot.joints]).coupled
     if coupled:
         return coupled
-    for one in robot.actuators:
-        if not one.joint or one.command == "other":
-            return f"actuator {one.name} drives no joint by a goal or a torque"
-    names = [one.joint for one in robot.actuators]
+    for actuator in robot.actuators:
+        if not actuator.joint or actuator.command == "other":
+            return f"actuator {actuator.name} drives no joint by a goal or a torque"
+    names = [actuator.joint for actuator in robot.actuators]
     twice = sorted({name for name in names if names.count(name) > 1})
     return f"more than one actuator drives {', '.join(twice)}" if twice else ""
 
@@ -233,12 +233,12 @@ def prescribed(robot: Robot, whole: Model, dataset: Dataset) -> Prescribed:
     reason = why_not(robot, dataset)
     if reason:
         raise RequestError(f"{robot.name} cannot be looked at joint by joint: {reason}")
-    names = [one.name for one in dataset.outputs]
-    columns = [names.index(one.output) for one in robot.joints]
+    names = [output.name for output in dataset.outputs]
+    columns = [names.index(joint.output) for joint in robot.joints]
     motions = [smoothed(trial.time_s, trial.outputs[:, columns]) for trial in dataset.trials]
-    joints = [one.name for one in robot.joints]
-    lengths = [len(one[0]) for one in motions]
-    moved = tuple(np.concatenate([one[k] for one in motions]) for k in range(3))
+    joints = [joint.name for joint in robot.joints]
+    lengths = [len(motion[0]) for motion in motions]
+    moved = tuple(np.concatenate([motion[k] for motion in motions]) for k in range(3))
     terms = carried(robot.xml, joints, moved)  # type: ignore[arg-type]
     return Prescribed(
         robot, whole, dataset, tuple(motions), tuple(_parts(terms, lengths)), robot_terms(robot.xml, joints)
@@ -256,65 +256,72 @@ def _parts(terms: Carried, lengths: Sequence[int]) -> Iterator[Carried]:
         first += length
 
 
-def one_joint(found: Prescribed, place: int) -> OneJoint:
+def one_joint(joint_index: Prescribed, index: int) -> OneJoint:
     """Return the model of a joint, and the trials as it sees them."""
-    joint = found.robot.joints[place]
-    drive = found.drive(joint)
-    torque = np.concatenate([one.torque[:, place] for one in found.terms])
-    inertia = np.concatenate([one.inertia[:, place] for one in found.terms])
-    acceleration = np.concatenate([one[2][:, place] for one in found.motions])
+    joint = joint_index.robot.joints[index]
+    drive = joint_index.drive(joint)
+    torque = np.concatenate([term.torque[:, index] for term in joint_index.terms])
+    inertia = np.concatenate([term.inertia[:, index] for term in joint_index.terms])
+    acceleration = np.concatenate([motion[2][:, index] for motion in joint_index.motions])
     shares = np.sqrt(np.mean((torque + inertia * acceleration[:, None]) ** 2, axis=0))
     total = float(np.sqrt(np.mean(np.sum(torque + inertia * acceleration[:, None], axis=1) ** 2)))
     own = [k for k, share in enumerate(shares) if share > criteria.LEAST_TORQUE * total]
     rest = [k for k in range(len(shares)) if k not in own]
     tilted = bool(
-        max(float(np.ptp(one.tilt[:, place])) for one in found.terms) > criteria.LEAST_TORQUE * total
+        max(float(np.ptp(term.tilt[:, index])) for term in joint_index.terms) > criteria.LEAST_TORQUE * total
     )
-    loaded = bool(max(float(np.ptp(one.load[:, place])) for one in found.terms) > 0)
-    bodies = [found.terms[0].bodies[k] for k in own]
-    text = "\n".join(_lines(found, place, joint, drive, bodies, tilted=tilted, loaded=loaded))
-    model = parse_model(text, f"{found.robot.name}: {joint.name}")
-    if drive is not None and found.lead_s and model.states:
-        model = model.with_effects([found.clock_at(drive.input)])
+    loaded = bool(max(float(np.ptp(term.load[:, index])) for term in joint_index.terms) > 0)
+    bodies = [joint_index.terms[0].bodies[k] for k in own]
+    text = "\n".join(_lines(joint_index, index, joint, drive, bodies, tilted=tilted, loaded=loaded))
+    model = parse_model(text, f"{joint_index.robot.name}: {joint.name}")
+    if drive is not None and joint_index.lead_s and model.states:
+        model = model.with_effects([joint_index.clock_at(drive.input)])
     return OneJoint(
-        joint, model, _dataset(found, place, joint, drive, own, rest, model, tilted=tilted, loaded=loaded)
+        joint,
+        model,
+        _dataset(joint_index, index, joint, drive, own, rest, model, tilted=tilted, loaded=loaded),
     )
 
 
 def _dataset(
-    found: Prescribed, place: int, joint: RobotJoint, drive: RobotActuator | None, own: list[int], rest: list[int],
+    dynamics: Prescribed, joint_index: int, joint: RobotJoint, drive: RobotActuator | None,
+    own: list[int], rest: list[int],
     model: Model, *, tilted: bool, loaded: bool,
 ) -> Dataset:  # fmt: skip
-    data = found.dataset
-    output = [one.name for one in data.outputs].index(joint.output)
-    goal = [one.name for one in data.inputs].index(drive.input) if drive else None
+    data = dynamics.dataset
+    output = [port.name for port in data.outputs].index(joint.output)
+    goal = [signal.name for signal in data.inputs].index(drive.input) if drive else None
     by_torque = not model.states
-    trials, begun = [], 0.0
-    told = [tuple(sorted(trial.condition.items())) for trial in data.trials]
-    in_row = len(set(told)) == len(told)
-    around = found.around or tuple(np.zeros_like(q) for q, _, _ in found.motions)
-    every = zip(data.trials, found.motions, found.terms, around, strict=True)
+    trials, start_s = [], 0.0
+    message = [tuple(sorted(trial.condition.items())) for trial in data.trials]
+    in_row = len(set(message)) == len(message)
+    around = dynamics.around or tuple(np.zeros_like(q) for q, _, _ in dynamics.motions)
+    every = zip(data.trials, dynamics.motions, dynamics.terms, around, strict=True)
     for number, (trial, (q, rate, acceleration), terms, more) in enumerate(every):
         columns = [] if goal is None or by_torque else [trial.inputs[:, goal]]
-        columns += [terms.torque[:, place, k] for k in own] + [terms.inertia[:, place, k] for k in own]
+        columns += [terms.torque[:, joint_index, k] for k in own] + [
+            terms.inertia[:, joint_index, k] for k in own
+        ]
         columns += [
-            terms.torque[:, place, rest].sum(axis=1) + more[:, place], terms.inertia[:, place, rest].sum(axis=1),
-            terms.slope[:, place], terms.rate_slope[:, place], q[:, place], rate[:, place],
-            found.given_way(number, place), terms.gravity[:, place], found.carried(number, place)[0][:, 0],
+            terms.torque[:, joint_index, rest].sum(axis=1) + more[:, joint_index],
+                terms.inertia[:, joint_index, rest].sum(axis=1),
+            terms.slope[:, joint_index], terms.rate_slope[:, joint_index], q[:, joint_index], rate[:, joint_index],
+            dynamics.given_way(number, joint_index), terms.gravity[:, joint_index],
+                dynamics.carried(number, joint_index)[0][:, 0],
         ]  # fmt: skip
-        columns += [acceleration[:, place]] if by_torque else []
-        columns += [terms.tilt[:, place, 0], terms.tilt[:, place, 1]] if tilted else []
-        columns += [terms.load[:, place]] if loaded else []
+        columns += [acceleration[:, joint_index]] if by_torque else []
+        columns += [terms.tilt[:, joint_index, 0], terms.tilt[:, joint_index, 1]] if tilted else []
+        columns += [terms.load[:, joint_index]] if loaded else []
         # trials of one log follow one another: what changes with the log's time needs it (repeats are averaged instead)
-        time_s = trial.time_s + (begun - trial.time_s[0]) if in_row else trial.time_s
-        begun += float(trial.time_s[-1] - trial.time_s[0])
+        time_s = trial.time_s + (start_s - trial.time_s[0]) if in_row else trial.time_s
+        start_s += float(trial.time_s[-1] - trial.time_s[0])
         outputs = trial.outputs[:, [output]].copy()
         if drive is not None and by_torque:
-            at_s = trial.time_s + found.lead_s - found.late_s(drive.input)
+            at_s = trial.time_s + dynamics.lead_s - dynamics.late_s(drive.input)
             outputs[:, 0] = np.interp(at_s, trial.time_s, trial.inputs[:, goal])
         trials.append(replace(trial, time_s=time_s, inputs=np.column_stack(columns), outputs=outputs))
-    known = {one.name: one for one in data.inputs}
-    infos = tuple(known.get(one.name) or SignalInfo(one.name, one.unit) for one in model.inputs)
+    known = {signal.name: signal for signal in data.inputs}
+    infos = tuple(known.get(signal.name) or SignalInfo(signal.name, signal.unit) for signal in model.inputs)
     return replace(
         data,
         name=f"{data.name}: {joint.name}",
@@ -327,12 +334,12 @@ def _dataset(
 
 
 def _lines(
-    found: Prescribed, place: int, joint: RobotJoint, drive: RobotActuator | None, bodies: list[str],
+    dynamics: Prescribed, joint_index: int, joint: RobotJoint, drive: RobotActuator | None, bodies: list[str],
     *, tilted: bool, loaded: bool,
 ) -> Iterator[str]:  # fmt: skip
     q, rate = joint.output, f"{joint.output}_rate"
-    by_torque = found.torque_of(joint) is not None
-    yield f'name = "{found.robot.name}-{joint.output}"'
+    by_torque = dynamics.torque_of(joint) is not None
+    yield f'name = "{dynamics.robot.name}-{joint.output}"'
     yield "states = []" if by_torque else f'states = ["{q}", "{rate}"]'
     yield "[inputs]"
     if drive is not None and not by_torque:
@@ -347,19 +354,19 @@ def _lines(
     for name in known:
         yield f'{name} = {{ prescribed = true, between = "linear" }}'
     yield "[parameters]"
-    yield from _parameters(found, place, joint, drive, bodies)
+    yield from _parameters(dynamics, joint_index, joint, drive, bodies)
     masses = [f"{identifier(body)}_mass_ratio" for body in bodies]
     torque = " + ".join(["torque_rest", *(f"{mass}*torque_{k}" for k, mass in enumerate(masses))])
     inertia = " + ".join(
         [f"{q}_armature", "inertia_rest", *(f"{mass}*inertia_{k}" for k, mass in enumerate(masses))]
     )
-    effort = _effort(joint, drive, found)
+    effort = _effort(joint, drive, dynamics)
     angle, speed = ("measured", "measured_rate") if by_torque else (q, rate)
     own = [f"{q}_damping*{speed}"]
     if joint.sprung:
-        own.append(f"{q}_stiffness*({angle} - {found.own.rest[place]!r})")
-    if found.own.friction[place]:
-        own.append(f"{found.own.friction[place]!r}*tanh({speed}/0.01)")
+        own.append(f"{q}_stiffness*({angle} - {dynamics.own.rest[joint_index]!r})")
+    if dynamics.own.friction[joint_index]:
+        own.append(f"{dynamics.own.friction[joint_index]!r}*tanh({speed}/0.01)")
     forces = [
         f"force.{q}",
         f"force.{q}_link",
@@ -370,7 +377,7 @@ def _lines(
     yield "[equations]"
     if by_torque and drive is not None:
         asked = f"({inertia})*measured_acceleration + {' + '.join(own)} + ({torque})"
-        gear = found.own.drives[joint.name].gear
+        gear = dynamics.own.drives[joint.name].gear
         yield "[outputs]"
         yield f'{drive.input} = {{ equation = "({asked} - {" - ".join(forces)})/{gear!r}", unit = "{drive.unit}" }}'
         yield from _sites(joint, asked, (angle, speed), driven=True, tilted=tilted, loaded=loaded)
@@ -388,34 +395,34 @@ def _lines(
 
 
 def _parameters(
-    found: Prescribed, place: int, joint: RobotJoint, drive: RobotActuator | None, bodies: list[str]
+    dynamics: Prescribed, joint_index: int, joint: RobotJoint, drive: RobotActuator | None, bodies: list[str]
 ) -> Iterator[str]:
     q = joint.output
     force, per = ("N m", "N m s/rad") if joint.unit == "rad" else ("N", "N s/m")
-    yield _parameter(found.whole, f"{q}_damping", found.own.damping[place], "free", per)
+    yield _parameter(dynamics.whole, f"{q}_damping", dynamics.own.damping[joint_index], "free", per)
     if joint.sprung:
         yield _parameter(
-            found.whole,
+            dynamics.whole,
             f"{q}_stiffness",
-            found.own.stiffness[place],
+            dynamics.own.stiffness[joint_index],
             criteria.GAIN_TOLERANCE,
             f"{force}/{joint.unit}",
         )
-    armature = found.own.armature[place]
-    if armature or f"{q}_armature" in {one.name for one in found.whole.parameters}:
+    armature = dynamics.own.armature[joint_index]
+    if armature or f"{q}_armature" in {parameter.name for parameter in dynamics.whole.parameters}:
         # a rotor's inertia behind a gear is known no better than the masses that hang on the joint
         inertia = "kg m^2" if joint.unit == "rad" else "kg"
-        yield _parameter(found.whole, f"{q}_armature", armature, criteria.MASS_TOLERANCE, inertia)
+        yield _parameter(dynamics.whole, f"{q}_armature", armature, criteria.MASS_TOLERANCE, inertia)
     else:
         yield f"{q}_armature = {{ value = 0.0, tolerance = 0.0 }}"
-    gains = found.own.drives.get(joint.name)
+    gains = dynamics.own.drives.get(joint.name)
     if gains is not None and gains.kp:
         yield _parameter(
-            found.whole, _gain(joint, drive), gains.kp, criteria.GAIN_TOLERANCE, f"{force}/{joint.unit}"
+            dynamics.whole, _gain(joint, drive), gains.kp, criteria.GAIN_TOLERANCE, f"{force}/{joint.unit}"
         )
     if gains is not None and gains.kv and drive is not None and drive.command == "position":
         # of the motion alone it is the joint's damping; of what the drive puts on the gear it is a part
-        yield _parameter(found.whole, _rate_gain(joint, drive), gains.kv, criteria.GAIN_TOLERANCE, per)
+        yield _parameter(dynamics.whole, _rate_gain(joint, drive), gains.kv, criteria.GAIN_TOLERANCE, per)
     for k, body in enumerate(bodies):
         known = f"value = 1.0, tolerance = {criteria.MASS_TOLERANCE}, lower = 0.0"
         yield f"{identifier(body)}_mass_ratio = {{ {known} }} # {k}"
@@ -465,12 +472,12 @@ def _rate_gain(joint: RobotJoint, drive: RobotActuator | None) -> str:
     return f"{joint.output if drive is None else identifier(drive.name)}_kv"
 
 
-def _effort(joint: RobotJoint, drive: RobotActuator | None, found: Prescribed) -> str:
+def _effort(joint: RobotJoint, drive: RobotActuator | None, dynamics: Prescribed) -> str:
     """Return the equation of what the drive puts on the joint."""
     if drive is None:
         return "0.0"
     gains_name = _gain(joint, drive)
-    gains = found.own.drives[joint.name]
+    gains = dynamics.own.drives[joint.name]
     q, rate = joint.output, f"{joint.output}_rate"
     if drive.command in ("torque", "geared"):
         effort = f"{gains.gear!r}*{drive.input}"
@@ -485,8 +492,8 @@ def _effort(joint: RobotJoint, drive: RobotActuator | None, found: Prescribed) -
 
 def _parameter(whole: Model, name: str, value: float, tolerance: float | str, unit: str) -> str:
     """Return the line of a parameter: what the model of the whole robot says of it, where it has one of that name."""
-    known = next((one for one in whole.parameters if one.name == name), None)
+    known = next((parameter for parameter in whole.parameters if parameter.name == name), None)
     if known is not None:
         value, tolerance = known.value, known.tolerance
-    told = f'"{tolerance}"' if isinstance(tolerance, str) else repr(float(tolerance))
-    return f'{name} = {{ value = {value!r}, tolerance = {told}, unit = "{unit}", lower = 0.0 }}'
+    text = f'"{tolerance}"' if isinstance(tolerance, str) else repr(float(tolerance))
+    return f'{name} = {{ value = {value!r}, tolerance = {text}, unit = "{unit}", lower = 0.0 }}'

@@ -169,7 +169,7 @@ def judge_fit(
     logs = [pieces.log_errors(each) for each in (before, fitted, corrected)]
     names = [joint.name for joint in robot.joints]
     better = {
-        name: decide.beats(logs[2][place], logs[1][place], pieces.strata) for place, name in enumerate(names)
+        name: decide.beats(logs[2][index], logs[1][index], pieces.strata) for index, name in enumerate(names)
     }
     judged = []
     for each in values:
@@ -182,15 +182,15 @@ def judge_fit(
         without = errors([other for other in usable if other is not each])
         after = pieces.log_errors(without)
         places = [names.index(each.element)] if each.element in names else range(len(names))
-        asked = any(decide.beats(logs[1][place], after[place], pieces.strata) for place in places)
+        asked = any(decide.beats(logs[1][location], after[location], pieces.strata) for location in places)
         instead = _instead(each, known, robot, check, diagnosis) if _any(better, each, names) else ""
         judgement: Judgement = "stands in" if instead else "holds" if asked else "not asked for"
         error = float(pieces.rms(without)[places[0]]) if each.element in names else float("nan")
         judged.append(JudgedValue(each, known, judgement, instead, error))
     rms = [pieces.rms(each) for each in (before, fitted, corrected)]
     joints = tuple(
-        JudgedJoint(joint.name, joint.unit, *(float(each[place]) for each in rms))
-        for place, joint in enumerate(robot.joints)
+        JudgedJoint(joint.name, joint.unit, *(float(each[index]) for each in rms))
+        for index, joint in enumerate(robot.joints)
     )
     return OtherFit(joints, tuple(judged))
 
@@ -204,21 +204,21 @@ def _instead(
 ) -> str:
     """Return the causes of its joint that a number stands in for, where their correction takes the number back."""
     outputs = {joint.name: joint.output for joint in robot.joints}
-    told = []
+    message = []
     for joint in diagnosis["joints"]:
         if value.quantity != "mass" and joint["joint"] != value.element:
             continue
-        told += [
+        message += [
             str(Name(cause["effect"], cause["site"], cause["kind"]).words)
             for cause in joint["diagnosis"]["causes"]
             if not _is_the_same(value, cause, outputs)
         ]
-    told += [
+    message += [
         entry["effect"].replace("-", " ")
         for entry in diagnosis["whole"]
         if entry["effect"] != _EFFECT.get(value.quantity)
     ]
-    if not told:
+    if not message:
         return ""
     now = check.model.values.get(_parameter(robot, value), stated)
     if value.quantity in _EFFECT:
@@ -231,7 +231,7 @@ def _instead(
     if now is None or stated is None:
         return ""
     kept = abs(value.value - now) <= _NEARER * abs(value.value - stated)
-    return "" if kept else " and ".join(dict.fromkeys(told))
+    return "" if kept else " and ".join(dict.fromkeys(message))
 
 
 _EFFECT: Mapping[str, str] = {"frictionloss": "coulomb-friction", "delay": "delay"}
@@ -266,20 +266,20 @@ def _stated(robot: Robot, model: Model) -> dict[tuple[str, str], float]:
     """Return what the robot's file says of every joint and body."""
     names = [joint.name for joint in robot.joints]
     terms = robot_terms(robot.xml, names)
-    found: dict[tuple[str, str], float] = {}
-    for place, name in enumerate(names):
-        found[name, "armature"] = float(terms.armature[place])
-        found[name, "damping"] = float(terms.damping[place])
-        found[name, "frictionloss"] = float(terms.friction[place])
-        found[name, "stiffness"] = float(terms.stiffness[place])
-        found[name, "delay"] = 0.0
+    values: dict[tuple[str, str], float] = {}
+    for index, name in enumerate(names):
+        values[name, "armature"] = float(terms.armature[index])
+        values[name, "damping"] = float(terms.damping[index])
+        values[name, "frictionloss"] = float(terms.friction[index])
+        values[name, "stiffness"] = float(terms.stiffness[index])
+        values[name, "delay"] = 0.0
         if name in terms.drives:
-            found[name, "kp"] = terms.drives[name].kp
+            values[name, "kp"] = terms.drives[name].kp
     parameters = {parameter.name: parameter.value for parameter in model.parameters}
     for body in robot.bodies:
         if f"{identifier(body)}_mass" in parameters:
-            found[body, "mass"] = parameters[f"{identifier(body)}_mass"]
-    return found
+            values[body, "mass"] = parameters[f"{identifier(body)}_mass"]
+    return values
 
 
 def _applied(

@@ -41,20 +41,22 @@ def parameter_ranges(
     RequestError, FitError
         A robot or data that are not those of the diagnosis.
     """
-    stated = {one.name: one.value for one in model.parameters}
+    stated = {parameter.name: parameter.value for parameter in model.parameters}
     corrected = model.with_values(diagnosis["corrected"])
     masses = {
-        f"{one.name}_ratio": (one.name, one.value / stated[one.name])
-        for one in corrected.parameters
-        if one.name.endswith("_mass") and stated[one.name]
+        f"{parameter.name}_ratio": (parameter.name, parameter.value / stated[parameter.name])
+        for parameter in corrected.parameters
+        if parameter.name.endswith("_mass") and stated[parameter.name]
     }
-    answers = {one["joint"]: one["diagnosis"] for one in diagnosis["joints"]}
-    found: dict[str, Estimate] = {}
+    answers = {joint["joint"]: joint["diagnosis"] for joint in diagnosis["joints"]}
+    estimates: dict[str, Estimate] = {}
     around = as_diagnosed(prescribed(robot, corrected, dataset), diagnosis, answers)
-    for place, joint in enumerate(robot.joints):
-        one = one_joint(around, place)
-        carried = {each.name: masses[each.name][1] for each in one.model.parameters if each.name in masses}
-        start = one.model.with_values(carried)
+    for index, joint in enumerate(robot.joints):
+        isolated = one_joint(around, index)
+        carried = {
+            each.name: masses[each.name][1] for each in isolated.model.parameters if each.name in masses
+        }
+        start = isolated.model.with_values(carried)
         # a rate gain that the whole robot has not is in its damping: see `_into_damping`
         parameters = tuple(
             each if each.name in stated or each.name in masses else replace(each, tolerance=0.0)
@@ -62,32 +64,32 @@ def parameter_ranges(
         )
         if all(each.tolerance == 0.0 for each in parameters):
             continue
-        note(f"{place + 1} of {len(robot.joints)} joints: {joint.name}")
+        note(f"{index + 1} of {len(robot.joints)} joints: {joint.name}")
         own = [each for each in effects_of(answers[joint.name]) if each.effect.id not in OF_THE_WHOLE]
         alone = replace(start, parameters=parameters).with_effects(own)
-        fitted = fit_model(alone, one.dataset, rng=np.random.default_rng(diagnosis["seed"]), starts=1)
-        for name, told in fitted.parameters.items():
-            whole, estimate = name, told
+        fitted = fit_model(alone, isolated.dataset, rng=np.random.default_rng(diagnosis["seed"]), starts=1)
+        for name, parameter in fitted.parameters.items():
+            whole, estimate = name, parameter
             if name in masses:
                 whole = masses[name][0]
-                value, low, high = (stated[whole] * each for each in (told.value, *told.ci95))
+                value, low, high = (stated[whole] * each for each in (parameter.value, *parameter.ci95))
                 estimate = Estimate(value, (low, high), "kg")
-            if whole not in found or np.ptp(estimate.ci95) < np.ptp(found[whole].ci95):
-                found[whole] = estimate
-    return found
+            if whole not in estimates or np.ptp(estimate.ci95) < np.ptp(estimates[whole].ci95):
+                estimates[whole] = estimate
+    return estimates
 
 
 def as_diagnosed(
     known: Prescribed, diagnosis: Mapping[str, Any], answers: Mapping[str, Mapping[str, Any]]
 ) -> Prescribed:
     """Return what is prescribed with the clock, the base, the load and the links as the diagnosis has them."""
-    whole = [(one["effect"], tuple(one["joints"]), one["values"]) for one in diagnosis["whole"]]
+    whole = [(entry["effect"], tuple(entry["joints"]), entry["values"]) for entry in diagnosis["whole"]]
     for name, _, values in whole:
         if name in OF_THE_LOG:
             (lead_s,) = values.values()
             known = known.led(-lead_s if name == "delay" else lead_s)
     joints: list[tuple[OneJoint, tuple[AttachedEffect, ...], Mapping[str, float]]] = []
-    for place, joint in enumerate(known.robot.joints):
+    for index, joint in enumerate(known.robot.joints):
         answer = answers[joint.name]
-        joints.append((one_joint(known, place), effects_of(answer), answer["corrected"]))
+        joints.append((one_joint(known, index), effects_of(answer), answer["corrected"]))
     return among(known.with_links(beside_encoders(known, joints)), whole)

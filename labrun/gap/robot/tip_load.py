@@ -21,7 +21,7 @@ _DIFFERENCE_M = 1e-3
 """Half the difference of places behind a slope: torques grow with the square of a place at most."""
 
 
-def place_of_load(found: Prescribed, tip: TipLoad) -> FloatArray | None:
+def place_of_load(prescribed: Prescribed, tip: TipLoad) -> FloatArray | None:
     """Return the place of the load that explains most of what drives do beyond the robot as stated.
 
     Returns
@@ -30,22 +30,22 @@ def place_of_load(found: Prescribed, tip: TipLoad) -> FloatArray | None:
         In the frame of the last body, m; None if what is beyond looks like no load.
     """
     parts = [
-        JointTorque.of(found, place, without=tip.body).beside_late()
-        for place in range(len(found.robot.joints))
+        JointTorque.of(prescribed, index, without=tip.body).beside_late()
+        for index in range(len(prescribed.robot.joints))
     ]
-    mass, place = 0.0, tip.far_end
-    reach = max(float(np.linalg.norm(place)), _DIFFERENCE_M)
+    mass, far_end = 0.0, tip.far_end
+    reach = max(float(np.linalg.norm(far_end)), _DIFFERENCE_M)
     for _ in range(criteria.LOAD_STEPS):
-        at, slopes = tip.torque(place), []
+        at, slopes = tip.torque(far_end), []
         for axis in np.eye(3):
-            ends = [tip.torque(place + sign * _DIFFERENCE_M * axis) for sign in (-1.0, 1.0)]
+            ends = [tip.torque(far_end + sign * _DIFFERENCE_M * axis) for sign in (-1.0, 1.0)]
             slopes.append((ends[1] - ends[0]) / (2.0 * _DIFFERENCE_M))
-        moment = _fitted(parts, np.stack([at, *slopes], axis=2), mass, len(found.motions))
+        moment = _fitted(parts, np.stack([at, *slopes], axis=2), mass, len(prescribed.motions))
         mass = float(moment[0])
         if not np.isfinite(moment).all() or mass <= 0.0:
             return None
-        place = place + np.clip(moment[1:] / mass, -reach, reach)
-    return place
+        far_end = far_end + np.clip(moment[1:] / mass, -reach, reach)
+    return far_end
 
 
 def _fitted(joints: Sequence[JointTorque], load: FloatArray, mass_kg: float, trials: int) -> FloatArray:
@@ -55,27 +55,27 @@ def _fitted(joints: Sequence[JointTorque], load: FloatArray, mass_kg: float, tri
     """
     count, own = joints[0].bodies.shape[1], joints[0].columns.shape[1]
     size, share = 4 + count + own * len(joints), min(criteria.NUMBERS_A_TRIAL * trials / len(load), 1.0)
-    deviations = [max(float(np.std(one.left)), one.least) for one in joints]
-    found = np.zeros(size)
+    deviations = [max(float(np.std(joint.left)), joint.least) for joint in joints]
+    column = np.zeros(size)
     for _ in range(criteria.LOAD_STEPS):
         normal, right = np.zeros((size, size)), np.zeros(size)
         normal[range(4, 4 + count), range(4, 4 + count)] = 1.0 / criteria.MASS_TOLERANCE**2
         rows = []
-        for place, (one, deviation) in enumerate(zip(joints, deviations, strict=True)):
-            first = 4 + count + own * place
-            row = np.zeros((len(one.left), size))
-            row[:, :4], row[:, 4 : 4 + count] = load[:, place], one.bodies
-            row[:, first : first + own] = one.columns
-            row[:, first] += mass_kg * load[:, place, 0]
+        for index, (joint, deviation) in enumerate(zip(joints, deviations, strict=True)):
+            first = 4 + count + own * index
+            row = np.zeros((len(joint.left), size))
+            row[:, :4], row[:, 4 : 4 + count] = load[:, index], joint.bodies
+            row[:, first : first + own] = joint.columns
+            row[:, first] += mass_kg * load[:, index, 0]
             rows.append(row)
             normal += share * row.T @ row / deviation**2
-            right += share * row.T @ one.left / deviation**2
+            right += share * row.T @ joint.left / deviation**2
             held = range(first, first + own)
-            normal[held, held] += 1.0 / one.spread**2
+            normal[held, held] += 1.0 / joint.spread**2
         scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        found = scale * np.linalg.lstsq(normal * scale * scale[:, None], right * scale, rcond=1e-10)[0]
+        column = scale * np.linalg.lstsq(normal * scale * scale[:, None], right * scale, rcond=1e-10)[0]
         deviations = [
-            max(float(np.std(one.left - row @ found)), one.least)
-            for one, row in zip(joints, rows, strict=True)
+            max(float(np.std(joint.left - row @ column)), joint.least)
+            for joint, row in zip(joints, rows, strict=True)
         ]
-    return found[:4]
+    return column[:4]

@@ -21,7 +21,7 @@ IN_THE_ROBOT: Mapping[str, Mapping[str, str]] = {
 
 
 def together(
-    found: Prescribed,
+    prescribed: Prescribed,
     answers: Sequence[tuple[OneJoint, Diagnosis]],
     whole: Sequence[OfTheWhole],
     start: float,
@@ -35,28 +35,30 @@ def together(
     start
         When the diagnosis began, on the clock of `time.perf_counter`.
     """
-    model = found.whole
-    names = {one.name for one in model.parameters}
+    model = prescribed.whole
+    names = {parameter.name for parameter in model.parameters}
     recalibrated, corrected = _values(model, answers, after=False), _values(model, answers, after=True)
     effects, left = [], []
     for _, answer in answers:
-        for one in answer.effects:
+        for effect in answer.effects:
             try:
-                one.check(model)
-                effects.append(one)
+                effect.check(model)
+                effects.append(effect)
             except LabrunError as error:
-                if one.effect.id not in OF_THE_WHOLE:
-                    left.append(f"{one.effect.id} at {one.site} is not in the corrected model: {error}")
-    effects += [found.clock_at(one.input) for one in found.robot.actuators if found.lead_s]
+                if effect.effect.id not in OF_THE_WHOLE:
+                    left.append(f"{effect.effect.id} at {effect.site} is not in the corrected model: {error}")
+    effects += [
+        prescribed.clock_at(actuator.input) for actuator in prescribed.robot.actuators if prescribed.lead_s
+    ]
     before, after, last = (
-        _errors(found, model.with_values(values).with_effects(added))
+        _errors(prescribed, model.with_values(values).with_effects(added))
         for values, added in (({}, ()), (recalibrated, ()), (corrected, tuple(effects)))
     )
     for name, told_by, values in whole:
         if name in OF_THE_LOG:
             continue
-        put = {parameter: values[one] for parameter, one in IN_THE_ROBOT[name].items() if parameter in names}
-        with_it = _errors(found, model.with_values(corrected | put).with_effects(effects))
+        put = {parameter: values[key] for parameter, key in IN_THE_ROBOT[name].items() if parameter in names}
+        with_it = _errors(prescribed, model.with_values(corrected | put).with_effects(effects))
         if len(put) == len(values) and np.sum(np.square(with_it / after)) < np.sum(np.square(last / after)):
             corrected, last = corrected | put, with_it
         else:
@@ -64,43 +66,43 @@ def together(
                 f"{name} is told by {', '.join(told_by)} and is not in the corrected model: with it the whole robot "
                 "is simulated no better"
             )
-    fall = [one.joint.name for one, _ in answers if one.by_torque]
+    fall = [joint.joint.name for joint, _ in answers if joint.by_torque]
     if fall:
         left.append(
             f"{', '.join(fall)}: driven by the torque that was logged; nothing holds the whole robot there, so that "
             "its simulation drifts from the log, and how far says little"
         )
-    told: dict[str, list[float]] = {}
+    message: dict[str, list[float]] = {}
     for _, answer in answers:
         for name, (_, _, value) in answer.recalibration.items():
-            told.setdefault(name, []).append(value)
-    agreed = {name: float(np.median(values)) for name, values in told.items()}
+            message.setdefault(name, []).append(value)
+    agreed = {name: float(np.median(values)) for name, values in message.items()}
     joints = tuple(
         JointDiagnosis(
-            one.joint, answer, float(before[place]), float(after[place]), float(last[place]), agreed
+            joint.joint, answer, float(before[index]), float(after[index]), float(last[index]), agreed
         )
-        for place, (one, answer) in enumerate(answers)
+        for index, (joint, answer) in enumerate(answers)
     )
     return RobotDiagnosis(
-        found.robot.name, model.name, str(found.dataset.source), joints, tuple(whole), tuple(effects),
+        prescribed.robot.name, model.name, str(prescribed.dataset.source), joints, tuple(whole), tuple(effects),
         {name: value for name, value in corrected.items() if name in names}, tuple(left), time.perf_counter() - start,
     )  # fmt: skip
 
 
 def _values(model: Model, answers: Sequence[tuple[OneJoint, Diagnosis]], *, after: bool) -> dict[str, float]:
     """Return the parameters of the whole robot: a joint's own from that joint, a mass as the mean over joints."""
-    stated = {one.name: one.value for one in model.parameters}
-    told: dict[str, list[float]] = {}
-    for one, answer in answers:
+    stated = {parameter.name: parameter.value for parameter in model.parameters}
+    message: dict[str, list[float]] = {}
+    for joint, answer in answers:
         every = {name: value for name, (_, _, value) in answer.recalibration.items()}
         every |= answer.corrected if after else {}
-        _into_damping(one.joint.output, every, answer)
+        _into_damping(joint.joint.output, every, answer)
         for name, value in every.items():
             if name in stated:
-                told[name] = [value]
+                message[name] = [value]
             elif (mass := name.removesuffix("_ratio")) in stated:
-                told.setdefault(mass, []).append(value * stated[mass])
-    return {name: float(np.mean(values)) for name, values in told.items()}
+                message.setdefault(mass, []).append(value * stated[mass])
+    return {name: float(np.mean(values)) for name, values in message.items()}
 
 
 def _into_damping(joint: str, values: dict[str, float], answer: Diagnosis) -> None:
@@ -110,17 +112,19 @@ def _into_damping(joint: str, values: dict[str, float], answer: Diagnosis) -> No
         values[damping] = max(values[damping] + values.pop(name) - answer.recalibration[name][0], 0.0)
 
 
-def _errors(found: Prescribed, model: Model) -> FloatArray:
+def _errors(prescribed: Prescribed, model: Model) -> FloatArray:
     """Return the root mean square of measured minus simulated of every joint, whole trials simulated at once."""
-    data = found.dataset
-    names = [one.name for one in data.outputs]
-    columns = [names.index(one.output) for one in found.robot.joints]
-    model = model.with_between({one.name: one.between for one in data.inputs})
+    data = prescribed.dataset
+    names = [output.name for output in data.outputs]
+    columns = [names.index(joint.output) for joint in prescribed.robot.joints]
+    model = model.with_between({signal.name: signal.between for signal in data.inputs})
     squares, count, substeps = np.zeros(len(columns)), 0, None
-    for trial, (q, rate, _) in zip(data.trials, found.motions, strict=True):
+    for trial, (q, rate, _) in zip(data.trials, prescribed.motions, strict=True):
         known = dict(zip(names, trial.outputs[0].tolist(), strict=True))
-        known |= {joint.output: float(q[0, k]) for k, joint in enumerate(found.robot.joints)}
-        known |= {f"{joint.output}_rate": float(rate[0, k]) for k, joint in enumerate(found.robot.joints)}
+        known |= {joint.output: float(q[0, k]) for k, joint in enumerate(prescribed.robot.joints)}
+        known |= {
+            f"{joint.output}_rate": float(rate[0, k]) for k, joint in enumerate(prescribed.robot.joints)
+        }
         begin = np.array([known.get(state, 0.0) for state in model.states])
         if substeps is None:
             substeps = suggest_substeps(

@@ -144,7 +144,7 @@ class TorqueLog:
         made = []
         for rows, columns, factor in zip(self.rows, self.own_columns, factors, strict=True):
             scale = np.array([_by_torque(column.kind, factor) for column in columns])
-            made.append(tuple(replace(one, own=one.own * scale, torque=one.torque * factor) for one in rows))
+            made.append(tuple(replace(row, own=row.own * scale, torque=row.torque * factor) for row in rows))
         return replace(self, rows=tuple(made))
 
     def with_periods(self, residual: Sequence[Sequence[FloatArray]]) -> "TorqueLog":
@@ -160,13 +160,13 @@ class TorqueLog:
         for joint, left in enumerate(residual):
             for periods in _periods(self.rows[joint], left):
                 added = []
-                for course, moved, one in zip(self.courses, self.moved, rows[joint], strict=True):
+                for course, moved, trial_rows in zip(self.courses, self.moved, rows[joint], strict=True):
                     turned = periods * moved.q[:, joint]
                     waves = low_passed(
                         np.column_stack([np.sin(turned), np.cos(turned)]), course.step_s, self.cut.hz
                     )
-                    waves = decimated(waves, course, self.cut.hz)[one.moving]
-                    added.append(replace(one, own=np.concatenate([one.own, waves], axis=1)))
+                    waves = decimated(waves, course, self.cut.hz)[trial_rows.moving]
+                    added.append(replace(trial_rows, own=np.concatenate([trial_rows.own, waves], axis=1)))
                 rows[joint] = tuple(added)
                 columns[joint] += tuple(Column("cogging", joint, periods, np.inf, phase) for phase in (0, 1))
         return replace(self, rows=tuple(rows), own_columns=tuple(columns))
@@ -174,9 +174,9 @@ class TorqueLog:
 
 def _periods(rows: Sequence[JointRows], residual: Sequence[FloatArray]) -> list[float]:
     """Return the numbers of periods in 2 pi rad that explain most of a residual; none where they explain little."""
-    if not sum(len(one.q) for one in rows):
+    if not sum(len(row.q) for row in rows):
         return []
-    q, left = np.concatenate([one.q for one in rows]), np.concatenate(residual)
+    q, left = np.concatenate([row.q for row in rows]), np.concatenate(residual)
     travel = 0.5 * float(np.ptp(q))
     grid = (
         np.linspace(_LEAST_PERIODS, _LEAST_PERIODS + 0.25 * np.pi * _SCANNED_PERIODS, _SCANNED_PERIODS)
@@ -189,12 +189,12 @@ def _periods(rows: Sequence[JointRows], residual: Sequence[FloatArray]) -> list[
         products = waves.T @ left
         shares.append(float(products @ np.linalg.lstsq(waves.T @ waves, products, rcond=1e-9)[0]) / squares)
     kept: list[float] = []
-    for place in np.argsort(shares)[::-1]:
-        apart = all(abs(grid[place] - other) * travel > np.pi for other in kept)
-        if len(kept) == _PERIODS_KEPT or shares[place] < 1.0 - np.exp(-criteria.MARGIN):
+    for index in np.argsort(shares)[::-1]:
+        apart = all(abs(grid[index] - other) * travel > np.pi for other in kept)
+        if len(kept) == _PERIODS_KEPT or shares[index] < 1.0 - np.exp(-criteria.MARGIN):
             break
         if apart:
-            kept.append(float(grid[place]))
+            kept.append(float(grid[index]))
     return kept
 
 
@@ -256,7 +256,7 @@ def torque_log(robot: Robot, terms: RobotTerms, dataset: Dataset) -> TorqueLog:
             )
             own_columns[joint] = tuple(own)
     return TorqueLog(
-        tuple(names), regressor, tuple(tuple(one) for one in rows), tuple(own_columns),
+        tuple(names), regressor, tuple(tuple(row) for row in rows), tuple(own_columns),
         tuple(course.label for course in courses), cut, courses[0].step_s, tolerance, speed, peak,
         tuple(courses), tuple(moved), dead,
     )  # fmt: skip
@@ -272,11 +272,11 @@ def _courses(robot: Robot, terms: RobotTerms, dataset: Dataset) -> tuple[list[Co
     courses, logged = [], []
     for trial in dataset.trials:
         torque = np.zeros((len(trial.time_s), len(columns)))
-        for place, joint in enumerate(robot.joints):
+        for index, joint in enumerate(robot.joints):
             drive = drives.get(joint.name)
             if drive is not None:
                 gains = terms.drives[joint.name]
-                torque[:, place] = np.clip(
+                torque[:, index] = np.clip(
                     gains.gear * trial.inputs[:, inputs.index(drive.input)], *gains.limits
                 )
         logged.append(torque)
@@ -284,9 +284,9 @@ def _courses(robot: Robot, terms: RobotTerms, dataset: Dataset) -> tuple[list[Co
         courses.append(uniform(label, trial.time_s, trial.outputs[:, columns], torque, step_s))
     every = np.concatenate(logged)
     why = []
-    for place, joint in enumerate(robot.joints):
-        constant = joint.name in drives and float(np.ptp(every[:, place])) == 0.0
-        why.append(f"its torque is {every[0, place]:.3g} throughout" if constant else "")
+    for index, joint in enumerate(robot.joints):
+        constant = joint.name in drives and float(np.ptp(every[:, index])) == 0.0
+        why.append(f"its torque is {every[0, index]:.3g} throughout" if constant else "")
     return courses, tuple(why)
 
 
@@ -421,18 +421,18 @@ class Regression:
     def residual(self, values: FloatArray) -> list[list[FloatArray]]:
         """Return what coefficients of all columns leave of every row, per joint and trial."""
         return [
-            [one.torque - made for one, made in zip(rows, predicted, strict=True)]
+            [row.torque - made for row, made in zip(rows, predicted, strict=True)]
             for rows, predicted in zip(self.log.rows, self.predicted(values), strict=True)
         ]
 
     def predicted(self, values: FloatArray) -> list[list[FloatArray]]:
         """Return the torque that coefficients of all columns make, per joint and trial, (n,)."""
         links = self.deviation(values).ravel() / self.log.tolerance
-        place = {column: number for number, column in enumerate(self.columns)}
+        numbers = {column: number for number, column in enumerate(self.columns)}
         made = []
         for rows, columns in zip(self.log.rows, self.log.own_columns, strict=True):
-            own = np.array([values[place[column]] if column in place else 0.0 for column in columns])
-            made.append([one.stated + one.links @ links + one.own @ own for one in rows])
+            own = np.array([values[numbers[column]] if column in numbers else 0.0 for column in columns])
+            made.append([row.stated + row.links @ links + row.own @ own for row in rows])
         return made
 
     def deviation(self, values: FloatArray, freed: Collection[int] | None = None) -> FloatArray:
@@ -455,8 +455,8 @@ class Regression:
         """Return the places of columns of a kind."""
         return np.array(
             [
-                place
-                for place, column in enumerate(self.columns)
+                index
+                for index, column in enumerate(self.columns)
                 if column.kind == kind
                 and (joint is None or column.joint == joint)
                 and (detail is None or column.detail == detail)
@@ -464,9 +464,9 @@ class Regression:
             dtype=np.int64,
         )
 
-    def acting(self, place: int) -> set[int]:
+    def acting(self, joint_index: int) -> set[int]:
         """Return at which of the looked-at joints (by their number there) a column acts."""
-        return {number for number, gram in enumerate(self.evidence.grams) if place in gram.columns}
+        return {number for number, gram in enumerate(self.evidence.grams) if joint_index in gram.columns}
 
 
 def regression(log: TorqueLog) -> Regression:
@@ -476,19 +476,19 @@ def regression(log: TorqueLog) -> Regression:
     recalibration leaves.
     """
     looked_at = tuple(
-        joint for joint, rows in enumerate(log.rows) if sum(len(one.torque) for one in rows) > 0
+        joint for joint, rows in enumerate(log.rows) if sum(len(row.torque) for row in rows) > 0
     )
     own = tuple(dict.fromkeys(column for joint in looked_at for column in log.own_columns[joint]))
     bodies = len(log.regressor.bodies)
     links = [Column("raw", WHOLE, float(number), 1.0) for number in range(10 * bodies)]
     raw = (*links, *own)
-    place = {column: number for number, column in enumerate(raw)}
+    numbers = {column: number for number, column in enumerate(raw)}
     units, strata = _units(log, looked_at)
     grams = []
     for joint in looked_at:
-        columns = np.array([*range(10 * bodies), *(place[column] for column in log.own_columns[joint])])
+        columns = np.array([*range(10 * bodies), *(numbers[column] for column in log.own_columns[joint])])
         rows = [
-            [np.concatenate([one.links, one.own], axis=1), one.torque - one.stated] for one in log.rows[joint]
+            [np.concatenate([row.links, row.own], axis=1), row.torque - row.stated] for row in log.rows[joint]
         ]
         parts: list[list[list[FloatArray]]] = [[[], []] for _ in strata]
         for trial, (values, excess) in enumerate(rows):
@@ -512,21 +512,21 @@ def regression(log: TorqueLog) -> Regression:
 def _independent(log: TorqueLog, looked_at: Sequence[int]) -> FloatArray:
     shares = []
     for joint in looked_at:
-        beside = [place for place, column in enumerate(log.own_columns[joint]) if column.kind in _CLASSICAL]
+        others = [index for index, column in enumerate(log.own_columns[joint]) if column.kind in _CLASSICAL]
         lengths = [
-            correlation_samples(_recalibrated(one, beside)[:, None])
-            for one in log.rows[joint]
-            if len(one.torque) > 2
+            correlation_samples(_recalibrated(row, others)[:, None])
+            for row in log.rows[joint]
+            if len(row.torque) > 2
         ]
         shares.append(1.0 / max(float(np.median(lengths)) if lengths else 1.0, 1.0))
     return np.array(shares)
 
 
-def _recalibrated(rows: JointRows, beside: Sequence[int] = ()) -> FloatArray:
+def _recalibrated(rows: JointRows, others: Sequence[int] = ()) -> FloatArray:
     """Return what a joint's own recalibration, and free columns beside it, leave of one trial, (n,)."""
     excess = rows.torque - rows.stated
-    columns = np.concatenate([rows.links, rows.own[:, list(beside)]], axis=1)
-    prior = np.concatenate([np.ones(rows.links.shape[1]), np.full(len(beside), 1e-12)])
+    columns = np.concatenate([rows.links, rows.own[:, list(others)]], axis=1)
+    prior = np.concatenate([np.ones(rows.links.shape[1]), np.full(len(others), 1e-12)])
     variance = max(float(np.var(excess)), 1e-300)
     values = np.linalg.lstsq(
         columns.T @ columns / variance + np.diag(prior), columns.T @ excess / variance, rcond=1e-12
@@ -611,7 +611,8 @@ def _reduced(
     precision = np.array([1.0 / np.square(column.spread) for column in every])
     return Regression(
         log, every, LinearEvidence(tuple(made), evidence.strata, precision, weighed.weights), looked_at,
-        log.tolerance[:, None] * link, {body: log.tolerance[:, None] * one for body, one in freed.items()}, independent,
+        log.tolerance[:, None] * link, {body: log.tolerance[:, None] * torque for body, torque in freed.items()},
+            independent,
     )  # fmt: skip
 
 

@@ -82,7 +82,9 @@ class TorqueAnswer:
 
 def by_torques(robot: Robot) -> bool:
     """Tell whether all drives of a robot are told torques, so that its log is one of torques or currents."""
-    return bool(robot.actuators) and all(one.command in ("torque", "geared") for one in robot.actuators)
+    return bool(robot.actuators) and all(
+        actuator.command in ("torque", "geared") for actuator in robot.actuators
+    )
 
 
 def explain_torques(
@@ -136,18 +138,18 @@ def _library(withhold: Collection[str]) -> set[str]:
     """Return the effects that may be causes: those of the regression that the library of effects has."""
     names = {(effect.removeprefix(COUPLED), "joint") for effect, _, _ in FORMS}
     names |= {("payload", "tip"), ("gravity-tilt", "base")}
-    found = set()
+    library = set()
     for name, kind in names - {(name, kind) for name, kind in names if name in withhold}:
         try:
             load_effect(name, kind)  # type: ignore[arg-type]
         except LabrunError:
             continue
-        found.add(name)
-    return found
+        library.add(name)
+    return library
 
 
 def _scales(data: Regression, units: LoggedUnits) -> list[int]:
-    return [int(place) for joint in units.unknown for place in data.places("scale", joint)]
+    return [int(location) for joint in units.unknown for location in data.places("scale", joint)]
 
 
 def diagnose_torques(
@@ -188,31 +190,34 @@ class _Telling:
         return told_together(self.answer.selection.causes)
 
     def whole(self, start: float) -> RobotDiagnosis:
-        of_robot = [one for one in self.causes if one.candidate.joint == WHOLE]
-        causes = tuple(self.cause(one) for one in of_robot)
-        joints = tuple(self.joint(place, joint) for place, joint in enumerate(self.robot.joints))
+        of_robot = [cause for cause in self.causes if cause.candidate.joint == WHOLE]
+        causes = tuple(self.cause(cause) for cause in of_robot)
+        joints = tuple(self.joint(index, joint) for index, joint in enumerate(self.robot.joints))
         effects, left = [], []
-        for one in self.causes:
-            attached = self.attached(one.candidate)
+        for cause in self.causes:
+            attached = self.attached(cause.candidate)
             if attached is not None:
                 effects.append(attached)
-            elif one.candidate.joint != WHOLE:
+            elif cause.candidate.joint != WHOLE:
                 left.append(
-                    f"{self.words(one.candidate)} is not in the corrected model: it acts on two joints"
+                    f"{self.words(cause.candidate)} is not in the corrected model: it acts on two joints"
                 )
         corrected = dict(self.corrected(of_robot))
         left += [
-            f"the load on {one.candidate.site} is not in the corrected model, which has one on the last body only"
-            for one in of_robot
-            if one.candidate.effect == "payload" and one.candidate.detail != self.data.log.regressor.tip
+            f"the load on {cause.candidate.site} is not in the corrected model, which has one on the last body only"
+            for cause in of_robot
+            if cause.candidate.effect == "payload" and cause.candidate.detail != self.data.log.regressor.tip
         ]
         wholes: list[OfTheWhole] = [
             (
-                one.candidate.effect,
-                tuple(self.data.log.joints[self.data.looked_at[number]] for number in one.candidate.scope),
+                whole_cause.candidate.effect,
+                tuple(
+                    self.data.log.joints[self.data.looked_at[number]]
+                    for number in whole_cause.candidate.scope
+                ),
                 {name: value.value for name, value in cause.values.items()},
             )
-            for one, cause in zip(of_robot, causes, strict=True)
+            for whole_cause, cause in zip(of_robot, causes, strict=True)
         ]
         headline = [
             *(sentence for sentence in self.answer.units.sentences),
@@ -239,8 +244,8 @@ class _Telling:
             return f"{body} is lighter than the file states ({mass.value:.2g} kg)"
         if "x" not in cause.values:
             return f"the robot carries {mass.value:.2g} kg at {body}"
-        place = ", ".join(f"{cause.values[axis].value:.2g}" for axis in "xyz")
-        return f"the robot carries {mass.value:.2g} kg at ({place}) m of {body}"
+        text = ", ".join(f"{cause.values[axis].value:.2g}" for axis in "xyz")
+        return f"the robot carries {mass.value:.2g} kg at ({text}) m of {body}"
 
     def tilt_words(self, cause: Cause) -> str:
         """Return a tilt as a sentence without an end."""
@@ -317,13 +322,13 @@ class _Telling:
                 yield axis, float(first / mass) if mass else 0.0
             return
         if effect == "gravity-tilt":
-            roll, pitch = (float(values[place]) for place in self.data.places("tilt"))
+            roll, pitch = (float(values[location]) for location in self.data.places("tilt"))
             yield from (("roll", roll), ("pitch", pitch))
             return
         own = {
-            (column.kind, column.phase): float(values[place])
-            for place in candidate.columns
-            for column in (self.data.columns[place],)
+            (column.kind, column.phase): float(values[number])
+            for number in candidate.columns
+            for column in (self.data.columns[number],)
         }
         first = next(iter(own.values()))
         if effect in ("asymmetric-friction", "stribeck-friction"):
@@ -374,64 +379,64 @@ class _Telling:
     def corrected(self, of_robot: Sequence[Selected]) -> Iterator[tuple[str, float]]:
         """Yield the parameters of the whole robot that a load, a tilt, or a stated damping of another size changes."""
         known = {parameter.name for parameter in self.model.parameters}
-        for one in of_robot:
-            values = dict(self.parameters(one.candidate, self.answer.values))
-            if one.candidate.effect == "gravity-tilt":
+        for selected in of_robot:
+            values = dict(self.parameters(selected.candidate, self.answer.values))
+            if selected.candidate.effect == "gravity-tilt":
                 names = {"base_roll": values["roll"], "base_pitch": values["pitch"]}
-            elif one.candidate.detail == self.data.log.regressor.tip:
+            elif selected.candidate.detail == self.data.log.regressor.tip:
                 names = {"tip_load": values["mass"], **{f"tip_load_{axis}": values[axis] for axis in "xyz"}}
             else:
                 continue
             yield from ((name, value) for name, value in names.items() if name in known)
         terms = robot_terms(self.robot.xml, list(self.data.log.joints))
-        for place, column in enumerate(self.data.columns):
+        for index, column in enumerate(self.data.columns):
             if column.kind == "damping" and f"{self.robot.joints[column.joint].output}_damping" in known:
-                value = terms.damping[column.joint] + float(self.answer.values[place])
+                value = terms.damping[column.joint] + float(self.answer.values[index])
                 yield f"{self.robot.joints[column.joint].output}_damping", max(value, 0.0)
 
-    def joint(self, place: int, joint: RobotJoint) -> JointDiagnosis:
+    def joint(self, joint_index: int, joint: RobotJoint) -> JointDiagnosis:
         """Return what was found about one joint."""
         data, selection = self.data, self.answer.selection
         unit = "N m" if joint.unit == "rad" else "N"
-        own = [one for one in self.causes if one.candidate.joint == place]
-        if place not in data.looked_at:
-            nothing = self.diagnosis(joint, unit, (), np.full(3, np.nan), 1.0, own, place)
+        own = [cause for cause in self.causes if cause.candidate.joint == joint_index]
+        if joint_index not in data.looked_at:
+            nothing = self.diagnosis(joint, unit, (), np.full(3, np.nan), 1.0, own, joint_index)
             return JointDiagnosis(joint, nothing, np.nan, np.nan, np.nan, {}, unit)
-        number = data.looked_at.index(place)
+        number = data.looked_at.index(joint_index)
         errors = np.array(
             [
                 float(np.sqrt(np.nanmean(table[:, number])))
                 for table in (selection.stated, selection.recalibrated, selection.after)
             ]
         )
-        noise = self.noise(place)
+        noise = self.noise(joint_index)
         steps: list[_Step] = [("as stated", None, errors[0]), ("recalibrated", None, errors[1])]
         last = errors[1]
-        for one, ladder in zip(selection.causes, selection.ladder, strict=True):
-            shown = one.candidate.joint == place or (
-                number in one.candidate.scope and abs(np.log(last / ladder[number])) > criteria.MARGIN
+        for cause, ladder in zip(selection.causes, selection.ladder, strict=True):
+            shown = cause.candidate.joint == joint_index or (
+                number in cause.candidate.scope and abs(np.log(last / ladder[number])) > criteria.MARGIN
             )
             if shown:
-                name = self.name(one.candidate)
+                name = self.name(cause.candidate)
                 steps.append((f"+ {effect_words(name.effect)}", name, float(ladder[number])))
                 last = float(ladder[number])
-        found = self.diagnosis(joint, unit, steps, errors, noise, own, place)
+        diagnosis = self.diagnosis(joint, unit, steps, errors, noise, own, joint_index)
         stated, recalibrated, after = map(float, errors)
-        return JointDiagnosis(joint, found, stated, recalibrated, after, {}, unit)
+        return JointDiagnosis(joint, diagnosis, stated, recalibrated, after, {}, unit)
 
-    def noise(self, place: int) -> float:
+    def noise(self, joint_index: int) -> float:
         """Return the deviation of what changes from row to row in what is left of a joint's torque."""
-        left = self.data.residual(self.answer.values)[place]
-        steps = np.concatenate([np.diff(one) for one in left])
+        left = self.data.residual(self.answer.values)[joint_index]
+        steps = np.concatenate([np.diff(residual) for residual in left])
         return max(float(np.sqrt(0.5 * np.mean(np.square(steps)))), 1e-12) if len(steps) else 1e-12
 
     def diagnosis(
         self, joint: RobotJoint, unit: str, steps: Sequence[_Step], errors: FloatArray, noise: float,
-        own: Sequence[Selected], place: int,
+        own: Sequence[Selected], joint_index: int,
     ) -> Diagnosis:  # fmt: skip
         """Return a joint's diagnosis: the one place where that type is made here."""
         log = self.data.log
-        causes = tuple(self.cause(one) for one in own)
+        causes = tuple(self.cause(selected) for selected in own)
         gap, rest = (float(np.sqrt(max(error**2 - noise**2, 0.0))) for error in errors[1:])
         closed = 1.0 - rest / gap if gap > 0.0 else 0.0
         verdict: Verdict
@@ -442,32 +447,38 @@ class _Telling:
             )
         else:
             ladder = " > ".join(f"{step} {error:.3g}" for step, _, error in steps)
-            told = f"Error of its torque on unseen data, {unit}: {ladder}."
+            message = f"Error of its torque on unseen data, {unit}: {ladder}."
             if causes:
                 share = rest / gap if gap > 0.0 else 0.0
                 verdict = "explained" if share <= criteria.EXPLAINED_REST else "partly-explained"
                 verdict = (
                     "mostly-explained" if criteria.EXPLAINED_REST < share <= criteria.MOSTLY_REST else verdict
                 )
-                sentence = told
+                sentence = message
             else:
                 verdict = "no-gap"
-                sentence = f"No cause at this joint improves the prediction of data it has not seen. {told}"
+                sentence = (
+                    f"No cause at this joint improves the prediction of data it has not seen. {message}"
+                )
         raw, recalibrated, after = (float(error / noise) if np.isfinite(error) else 0.0 for error in errors)
         sizes = Sizes(raw, recalibrated, after, 1.0)
         shrinkage = Shrinkage(closed, closed, closed) if causes and steps else None
-        attached = tuple(one for one in (self.attached(each.candidate) for each in own) if one is not None)
+        attached = tuple(
+            attached_effect
+            for attached_effect in (self.attached(each.candidate) for each in own)
+            if attached_effect is not None
+        )
         name = f"{joint.output}_torque"
         return Diagnosis(
             name=f"{self.robot.name}: {joint.name}", model=f"{self.robot.name}-{joint.output}",
             source=str(self.dataset.source), verdict=verdict, sentence=sentence, gap=sizes, where=(), causes=causes,
-            differs=(), candidates=tuple(self.rated(place, own)) if steps else (), shrinkage=shrinkage,
+            differs=(), candidates=tuple(self.rated(joint_index, own)) if steps else (), shrinkage=shrinkage,
             recalibration=self.recalibration(), corrected={}, effects=attached,
             limitations=("without repeats, noise and what no column explains are not told apart",),
             notes=tuple(cause.remark for cause in causes if cause.remark), what_next=(), channels=((name, unit),),
             input_channels=(), noise={name: noise}, trials=len(self.dataset.trials),
             conditions=len(dict.fromkeys(log.conditions)), repeats=1, missing=(),
-            traces=tuple(self.traces(place)) if steps else (), parameter_units={}, seed=self.seed,
+            traces=tuple(self.traces(joint_index)) if steps else (), parameter_units={}, seed=self.seed,
             seconds=0.0, ladder=self.rungs(steps, name, noise),
             rest=Rest(sizes.after, rest / gap if gap > 0.0 and causes else 1.0),
         )  # fmt: skip
@@ -498,19 +509,19 @@ class _Telling:
             for row, (body, mass) in enumerate(zip(regressor.bodies, regressor.masses, strict=True))
         }
 
-    def rated(self, place: int, own: Sequence[Selected]) -> Iterator[RatedCandidate]:
+    def rated(self, joint_index: int, own: Sequence[Selected]) -> Iterator[RatedCandidate]:
         """Yield every candidate of a joint: a cause, as good as one, or how large it can be."""
         selection = self.answer.selection
         active = selection.active
         known = set(active.tolist())
-        for one in own:
-            yield RatedCandidate(self.name(one.candidate), "cause", None, self.sizes(one.candidate))
-        rivals = {rival.name: one for one in own for rival in one.rivals}
-        causes = {one.candidate.name for one in own}
+        for selected in own:
+            yield RatedCandidate(self.name(selected.candidate), "cause", None, self.sizes(selected.candidate))
+        rivals = {rival.name: selected for selected in own for rival in selected.rivals}
+        causes = {selected.candidate.name for selected in own}
         others = {
             candidate.name: candidate
             for candidate in reversed(selection.tried)
-            if candidate.joint == place
+            if candidate.joint == joint_index
             and candidate.name not in causes
             and len(candidate.columns - known) == 1
             and not candidate.needs
@@ -519,7 +530,7 @@ class _Telling:
         groups = [np.array(sorted(candidate.columns - known)) for candidate in rest]
         before = selection.evidence.unseen(active)
         tables = selection.evidence.unseen_with(active, groups, [candidate.scope for candidate in rest])
-        number = self.data.looked_at.index(place)
+        number = self.data.looked_at.index(joint_index)
         for candidate, group, (errors, values) in zip(rest, groups, tables, strict=True):
             with np.errstate(invalid="ignore"):
                 share = 1.0 - float(np.nanmean(errors[:, number]) / np.nanmean(before[:, number]))
@@ -539,24 +550,27 @@ class _Telling:
             else:
                 yield RatedCandidate(self.name(candidate), "excluded", share, upper_bound=bound)
 
-    def traces(self, place: int) -> Iterator[ComparedTrace]:
+    def traces(self, joint_index: int) -> Iterator[ComparedTrace]:
         """Yield logged and predicted torque of a few trials."""
         data, selection = self.data, self.answer.selection
         base = np.zeros(len(self.answer.values))
         base[selection.base] = selection.evidence.fit(selection.base)[selection.base]
-        recalibrated, after = data.predicted(base)[place], data.predicted(self.answer.values)[place]
-        rows = data.log.rows[place]
+        recalibrated, after = (
+            data.predicted(base)[joint_index],
+            data.predicted(self.answer.values)[joint_index],
+        )
+        rows = data.log.rows[joint_index]
         trials = list(zip(self.dataset.trials, rows, recalibrated, after, strict=True))
         trials.sort(
             key=lambda each: (
                 -float(np.mean(np.square(each[1].torque - each[1].stated))) if len(each[1].torque) else 0.0
             )
         )
-        for trial, one, before, last in trials[:_TRIALS_SHOWN]:
-            if len(one.torque):
+        for trial, row, before, last in trials[:_TRIALS_SHOWN]:
+            if len(row.torque):
                 yield ComparedTrace(
-                    trial.label, trial.condition, 1, one.time_s, np.empty((len(one.time_s), 0)), one.torque[:, None],
-                    one.stated[:, None], before[:, None], last[:, None],
+                    trial.label, trial.condition, 1, row.time_s, np.empty((len(row.time_s), 0)), row.torque[:, None],
+                    row.stated[:, None], before[:, None], last[:, None],
                 )  # fmt: skip
 
 

@@ -142,41 +142,43 @@ class Selection:
         return _union(self.base, [selected.candidate for selected in self.causes])
 
 
-def candidates(found: Regression, library: Collection[str]) -> list[Candidate]:
+def candidates(regression: Regression, library: Collection[str]) -> list[Candidate]:
     """Return what may be missing, of the effects in the library."""
     made = []
     for rank, (effect, shared, own) in enumerate(FORMS):
         if effect.removeprefix(COUPLED) not in library:
             continue
-        for joint in found.looked_at:
-            beside = [int(place) for kind in shared for place in found.places(kind, joint)]
-            if len(beside) < len(shared):
+        for joint in regression.looked_at:
+            others = [int(location) for kind in shared for location in regression.places(kind, joint)]
+            if len(others) < len(shared):
                 continue
-            details = sorted({found.columns[place].detail for place in found.places(own, joint)})
+            details = sorted(
+                {regression.columns[location].detail for location in regression.places(own, joint)}
+            )
             for detail in details:
-                columns = frozenset(map(int, found.places(own, joint, detail)))
-                scope = sorted({number for place in columns for number in found.acting(place)})
+                columns = frozenset(map(int, regression.places(own, joint, detail)))
+                scope = sorted({number for column in columns for number in regression.acting(column)})
                 shapes = int(own in ("stribeck", "cogging"))
-                site = found.log.joints[joint]
+                site = regression.log.joints[joint]
                 made.append(
                     Candidate(
-                        effect, joint, site, columns, rank, tuple(scope), shapes, detail, frozenset(beside)
+                        effect, joint, site, columns, rank, tuple(scope), shapes, detail, frozenset(others)
                     )
                 )
-    everywhere = tuple(range(len(found.looked_at)))
-    if "gravity-tilt" in library and len(found.places("tilt")):
-        columns = frozenset(map(int, found.places("tilt")))
+    everywhere = tuple(range(len(regression.looked_at)))
+    if "gravity-tilt" in library and len(regression.places("tilt")):
+        columns = frozenset(map(int, regression.places("tilt")))
         made.append(Candidate("gravity-tilt", WHOLE, "base", columns, len(FORMS), everywhere))
-    for body, name in enumerate(found.log.regressor.bodies if "payload" in library else ()):
-        columns = frozenset(map(int, found.places("freed", None, float(body))))
+    for body, name in enumerate(regression.log.regressor.bodies if "payload" in library else ()):
+        columns = frozenset(map(int, regression.places("freed", None, float(body))))
         if columns:
-            rank = len(FORMS) + 1 + (body != found.log.regressor.tip)
+            rank = len(FORMS) + 1 + (body != regression.log.regressor.tip)
             made.append(Candidate("payload", WHOLE, name, columns, rank, everywhere, 0, float(body)))
     return made
 
 
 def select(
-    found: Regression, library: Collection[str], rng: np.random.Generator, always: Collection[int] = ()
+    regression: Regression, library: Collection[str], rng: np.random.Generator, always: Collection[int] = ()
 ) -> Selection:
     """Find the causes.
 
@@ -188,10 +190,11 @@ def select(
         Places of columns that are part of every model.
     """
     base = np.array(
-        sorted({*always, *(int(place) for kind in NUISANCE for place in found.places(kind))}), dtype=np.int64
+        sorted({*always, *(int(location) for kind in NUISANCE for location in regression.places(kind))}),
+        dtype=np.int64,
     )
-    every = candidates(found, library)
-    search = _Search(found, found.evidence, base, every)
+    every = candidates(regression, library)
+    search = _Search(regression, regression.evidence, base, every)
     stated = np.column_stack(
         [gram.mean_squares(np.zeros(len(gram.columns))) for gram in search.evidence.grams]
     )
@@ -214,7 +217,7 @@ def select(
     )
     selected = tuple(search.rated(causes, candidate, rng) for candidate in causes)
     return Selection(
-        found, search.evidence, base, selected, stated, recalibrated, after, ladder, tuple(every)
+        regression, search.evidence, base, selected, stated, recalibrated, after, ladder, tuple(every)
     )
 
 
@@ -262,15 +265,18 @@ class _Search:
         friction.
         """
         friction = [
-            int(place) for kind in ("coulomb", "viscous", "offset") for place in self.found.places(kind)
+            int(location) for kind in ("coulomb", "viscous", "offset") for location in self.found.places(kind)
         ]
-        beside = replace(self, base=np.array(sorted({*self.base.tolist(), *friction}), dtype=np.int64))
-        beside.reweigh([])
-        beside.recalibrated = beside.evidence.unseen(beside.base)
-        whole, causes = [[one] for one in self.every if one.joint == WHOLE], list[Candidate]()
-        while added := beside.best(causes, whole):
+        others = replace(self, base=np.array(sorted({*self.base.tolist(), *friction}), dtype=np.int64))
+        others.reweigh([])
+        others.recalibrated = others.evidence.unseen(others.base)
+        whole, causes = (
+            [[candidate] for candidate in self.every if candidate.joint == WHOLE],
+            list[Candidate](),
+        )
+        while added := others.best(causes, whole):
             causes += added
-            beside.reweigh(causes)
+            others.reweigh(causes)
         return causes
 
     def forward(self, causes: list[Candidate]) -> list[Candidate]:
@@ -288,7 +294,7 @@ class _Search:
 
     def _offered(self, causes: Sequence[Candidate]) -> Iterator[Candidate]:
         """Yield the candidates whose simpler forms are causes, and at joints without another richer form."""
-        known = {place for cause in causes for place in cause.columns}
+        known = {column for cause in causes for column in cause.columns}
         richer = {cause.joint for cause in causes if cause.needs}
         for candidate in self.every:
             if candidate.needs <= known and not (candidate.needs and candidate.joint in richer):
@@ -300,15 +306,15 @@ class _Search:
             for candidate in self.every
             if len(candidate.columns) == 1 and len(candidate.scope) == 1 and not candidate.needs
         ]
-        for one, other in combinations(simple, 2):
-            if one.joint == other.joint:
-                yield [one, other]
+        for first, other in combinations(simple, 2):
+            if first.joint == other.joint:
+                yield [first, other]
 
     def best(self, causes: Sequence[Candidate], sets: Sequence[list[Candidate]]) -> list[Candidate]:
         """Return the candidates, if any, that lead at their joints and gain most over all joints."""
         active = self.active(causes)
         known = set(active.tolist())
-        new = [(each, frozenset().union(*(one.columns for one in each)) - known) for each in sets]
+        new = [(each, frozenset().union(*(candidate.columns for candidate in each)) - known) for each in sets]
         new = [(each, columns) for each, columns in new if columns]
         if not new:
             return []
@@ -349,15 +355,15 @@ class _Search:
         made = evidence.unseen_with(active, ordered, scopes)
         return [
             errors
-            if all(map(_is_possible, (self.found.columns[place] for place in group), values.mean(axis=0)))
+            if all(map(_is_possible, (self.found.columns[index] for index in group), values.mean(axis=0)))
             else before
             for group, (errors, values) in zip(ordered, made, strict=True)
         ]
 
     def complexity(self, each: Sequence[Candidate], columns: Collection[int]) -> tuple[int, int]:
-        shapes = sum(one.shapes for one in each)
+        shapes = sum(candidate.shapes for candidate in each)
         # the coefficients of a load are those of one thing: where it is, and how heavy
-        return len(columns) + shapes, sum(one.rank for one in each)
+        return len(columns) + shapes, sum(candidate.rank for candidate in each)
 
     def logs(self, errors: FloatArray, scope: Sequence[int]) -> FloatArray:
         return log_errors(errors, scope, np.nanmean(self.recalibrated, axis=0))
@@ -372,11 +378,11 @@ class _Search:
             needless = []
             for candidate in causes:
                 others = _without(causes, candidate)
-                beside = self.active(others)
-                before = self.tightened(beside).unseen(beside)
+                active = self.active(others)
+                before = self.tightened(active).unseen(active)
                 base, with_it = (self.logs(errors, candidate.scope) for errors in (before, after))
                 possible = all(
-                    _is_possible(self.found.columns[place], values[place]) for place in candidate.columns
+                    _is_possible(self.found.columns[column], values[column]) for column in candidate.columns
                 )
                 if not (possible and decide.beats(with_it, base, units_of(base))):
                     needless.append((float(np.mean(base - with_it)), others))
@@ -398,7 +404,7 @@ class _Search:
                 causes = [
                     *others,
                     leader,
-                    *(one for one in causes if one.needs and one.needs <= leader.columns),
+                    *(cause for cause in causes if cause.needs and cause.needs <= leader.columns),
                 ]
         return causes
 
@@ -458,26 +464,26 @@ def _is_possible(column: Column, value: float) -> bool:
 
 def _union(base: IntArray, causes: Sequence[Candidate]) -> IntArray:
     return np.array(
-        sorted({*map(int, base), *(place for one in causes for place in one.columns)}), dtype=np.int64
+        sorted({*map(int, base), *(column for cause in causes for column in cause.columns)}), dtype=np.int64
     )
 
 
 def _without(causes: Sequence[Candidate], candidate: Candidate) -> list[Candidate]:
     """Return the other causes, without those that are richer forms of this one."""
-    return [one for one in causes if one is not candidate and not one.needs & candidate.columns]
+    return [cause for cause in causes if cause is not candidate and not cause.needs & candidate.columns]
 
 
 def told_together(causes: Sequence[Selected]) -> list[Selected]:
     """Return causes with each richer form in place of the simpler one that it contains."""
-    richer = {place: one for one in causes for place in one.candidate.needs}
-    told = []
-    for one in causes:
-        if one.candidate.needs:
+    richer = {column: cause for cause in causes for column in cause.candidate.needs}
+    messages = []
+    for cause in causes:
+        if cause.candidate.needs:
             continue
-        form = next((richer[place] for place in one.candidate.columns if place in richer), None)
+        form = next((richer[column] for column in cause.candidate.columns if column in richer), None)
         if form is None:
-            told.append(one)
+            messages.append(cause)
             continue
-        both = replace(form.candidate, columns=form.candidate.columns | one.candidate.columns)
-        told.append(replace(form, candidate=both, wins=min(form.wins, one.wins), without=one.without))
-    return told
+        both = replace(form.candidate, columns=form.candidate.columns | cause.candidate.columns)
+        messages.append(replace(form, candidate=both, wins=min(form.wins, cause.wins), without=cause.without))
+    return messages

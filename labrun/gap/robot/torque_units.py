@@ -45,14 +45,14 @@ def logged_units(data: Regression) -> LoggedUnits:
     joints = data.looked_at
     factors = np.ones(len(data.log.joints))
     scales = np.array([int(data.places("scale", joint)[0]) for joint in joints])
-    beside = np.sort(np.concatenate([data.places(kind) for kind in (*_FRICTION, *NUISANCE)]))
+    nuisances = np.sort(np.concatenate([data.places(kind) for kind in (*_FRICTION, *NUISANCE)]))
     evidence = _cautious(data)
-    before = evidence.unseen(beside)
+    before = evidence.unseen(nuisances)
     everywhere = np.arange(len(joints))
     groups = [scales, *(data.places("freed", None, float(body)) for body in data.freed_directions)]
     groups = [group for group in groups if len(group)]
     tables = [
-        errors for errors, _ in evidence.unseen_with(beside, groups, [everywhere.tolist()] * len(groups))
+        errors for errors, _ in evidence.unseen_with(nuisances, groups, [everywhere.tolist()] * len(groups))
     ]
     gap = np.nanmean(before, axis=0)
     base, *logs = (log_errors(errors, everywhere.tolist(), gap) for errors in (before, *tables))
@@ -60,9 +60,9 @@ def logged_units(data: Regression) -> LoggedUnits:
     leader = decide.leader(table, [(len(group), 0) for group in groups], units)
     if leader != 0 or not decide.beats(table[0], base, units):
         return LoggedUnits(factors)
-    active = np.concatenate([beside, scales])
+    active = np.concatenate([nuisances, scales])
     gains = 1.0 + evidence.fit(active)[scales]
-    needed = [_needs(evidence, active, place, number, gap) for number, place in enumerate(scales)]
+    needed = [_needs(evidence, active, scale, number, gap) for number, scale in enumerate(scales)]
     names = data.log.joints
     flipped = [joints[number] for number in range(len(joints)) if needed[number] and gains[number] < 0.0]
     sentences = [f"joint {names[joint]} is reported with the opposite sign" for joint in flipped]
@@ -77,11 +77,11 @@ def logged_units(data: Regression) -> LoggedUnits:
         return LoggedUnits(factors, (), tuple(sentences))
     for number in off:
         factors[joints[number]] = 1.0 / gains[number]
-    told = ", ".join(f"{names[joints[number]]} {abs(1.0 / gains[number]):.3g}" for number in off)
+    message = ", ".join(f"{names[joints[number]]} {abs(1.0 / gains[number]):.3g}" for number in off)
     sentences.insert(
         0,
         "the log holds no torques in N m (N) but motor currents or another unit: no stated mass explains their size; "
-        f"one logged unit is {told} N m (N), if the stated masses are right",
+        f"one logged unit is {message} N m (N), if the stated masses are right",
     )
     others = [names[joint] for number, joint in enumerate(joints) if number not in off]
     if others:
@@ -101,10 +101,12 @@ def _cautious(data: Regression) -> LinearEvidence:
     return evidence.reweighed(errors, share)
 
 
-def _needs(evidence: LinearEvidence, active: IntArray, place: int, number: int, gap: FloatArray) -> bool:
+def _needs(
+    evidence: LinearEvidence, active: IntArray, joint_index: int, number: int, gap: FloatArray
+) -> bool:
     """Tell whether the scale of one joint is needed beside those of all others."""
     with_it = log_errors(evidence.unseen(active), [number], gap)
-    without = log_errors(evidence.unseen(active[active != place]), [number], gap)
+    without = log_errors(evidence.unseen(active[active != joint_index]), [number], gap)
     return decide.beats(with_it, without, units_of(without))
 
 

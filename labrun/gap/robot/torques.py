@@ -44,38 +44,40 @@ class JointTorque:
     late: FloatArray
 
     @classmethod
-    def of(cls, found: Prescribed, place: int, *, without: str = "") -> "JointTorque":
+    def of(cls, prescribed: Prescribed, joint_index: int, *, without: str = "") -> "JointTorque":
         """Take what a joint says; of the body `without`, what its mass is off by is looked for elsewhere."""
-        own, joint = found.own, found.robot.joints[place]
+        own, joint = prescribed.own, prescribed.robot.joints[joint_index]
         q, rate, acceleration = (
-            np.concatenate([one[k][:, place] for one in found.motions]) for k in range(3)
+            np.concatenate([motion[k][:, joint_index] for motion in prescribed.motions]) for k in range(3)
         )
-        drive = found.drive(joint)
+        drive = prescribed.drive(joint)
         effort, late = np.zeros_like(q), np.zeros_like(q)
         if drive is not None:
             effort, before, after = (
-                _effort(found, place, drive, found.lead_s + more)
+                _effort(prescribed, joint_index, drive, prescribed.lead_s + more)
                 for more in (0.0, -_DIFFERENCE_S, _DIFFERENCE_S)
             )
             late = (after - before) / (2.0 * _DIFFERENCE_S)
-        passive = own.damping[place] * rate + own.armature[place] * acceleration
-        passive += own.stiffness[place] * (q - own.rest[place]) + own.friction[place] * np.sign(rate)
+        passive = own.damping[joint_index] * rate + own.armature[joint_index] * acceleration
+        passive += own.stiffness[joint_index] * (q - own.rest[joint_index]) + own.friction[
+            joint_index
+        ] * np.sign(rate)
         masses = np.concatenate(
             [
-                one.torque[:, place] + one.inertia[:, place] * motion[2][:, place, None]
-                for one, motion in zip(found.terms, found.motions, strict=True)
+                term.torque[:, joint_index] + term.inertia[:, joint_index] * motion[2][:, joint_index, None]
+                for term, motion in zip(prescribed.terms, prescribed.motions, strict=True)
             ]
         )
         asked = passive + masses.sum(axis=1)
         left = effort - asked
-        if found.around:
-            left = left - np.concatenate([one[:, place] for one in found.around])
+        if prescribed.around:
+            left = left - np.concatenate([torque[:, joint_index] for torque in prescribed.around])
         columns = np.column_stack(
-            [asked, rate, np.sign(rate), np.ones_like(q), own.armature[place] * acceleration]
+            [asked, rate, np.sign(rate), np.ones_like(q), own.armature[joint_index] * acceleration]
         )
         spread = np.array([criteria.GAIN_TOLERANCE, np.inf, np.inf, np.inf, criteria.MASS_TOLERANCE])
         least = max(criteria.LEAST_TORQUE_LEFT * float(np.std(effort if drive is not None else left)), 1e-12)
-        others = [number for number, body in enumerate(found.terms[0].bodies) if body != without]
+        others = [number for number, body in enumerate(prescribed.terms[0].bodies) if body != without]
         return cls(left, least, columns, spread, masses[:, others], late)
 
     def beside_late(self) -> "JointTorque":
@@ -84,19 +86,19 @@ class JointTorque:
         return replace(self, columns=columns, spread=np.append(self.spread, np.inf))
 
 
-def _effort(found: Prescribed, place: int, drive: RobotActuator, ahead_s: float) -> FloatArray:
+def _effort(prescribed: Prescribed, joint_index: int, drive: RobotActuator, ahead_s: float) -> FloatArray:
     """Return what the drive puts on its joint along the measured motion, goals read ahead, (n,)."""
-    column = [one.name for one in found.dataset.inputs].index(drive.input)
-    gains = found.own.drives[drive.joint]
-    told = []
-    for trial, (q, rate, _) in zip(found.dataset.trials, found.motions, strict=True):
-        at_s = trial.time_s + ahead_s - found.late_s(drive.input)
+    column = [signal.name for signal in prescribed.dataset.inputs].index(drive.input)
+    gains = prescribed.own.drives[drive.joint]
+    messages = []
+    for trial, (q, rate, _) in zip(prescribed.dataset.trials, prescribed.motions, strict=True):
+        at_s = trial.time_s + ahead_s - prescribed.late_s(drive.input)
         goal = np.interp(at_s, trial.time_s, trial.inputs[:, column])
         if drive.command in ("torque", "geared"):
-            told.append(gains.gear * goal)
+            messages.append(gains.gear * goal)
         elif drive.command == "velocity":
-            told.append(gains.kp * (goal - rate[:, place]))
+            messages.append(gains.kp * (goal - rate[:, joint_index]))
         else:
-            told.append(gains.kp * (goal - q[:, place]) - gains.kv * rate[:, place])
-    exerted: FloatArray = np.clip(np.concatenate(told), *gains.limits)
+            messages.append(gains.kp * (goal - q[:, joint_index]) - gains.kv * rate[:, joint_index])
+    exerted: FloatArray = np.clip(np.concatenate(messages), *gains.limits)
     return exerted

@@ -76,7 +76,7 @@ class Difference:
     @property
     def output_units(self) -> list[str]:
         """Units of the outputs, as recorded."""
-        return [one.unit for one in self.units.outputs]
+        return [output.unit for output in self.units.outputs]
 
     def _over_units(self, values: FloatArray) -> FloatArray:
         """Return the root mean square over all channels of the same unit."""
@@ -97,7 +97,7 @@ class Difference:
     @cached_property
     def scaled(self) -> list[FloatArray]:
         """Residuals of every unit in units of `scale`."""
-        return [one / self.scale for one in self.residual]
+        return [residual / self.scale for residual in self.residual]
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class ConditionData:
 
 def pieces(units: Dataset) -> tuple[ConditionData, ...]:
     """Return one piece per condition; units of a condition with another time step stay apart."""
-    found: list[ConditionData] = []
+    datas: list[ConditionData] = []
     for group in range(len(units.conditions)):
         alike: dict[float, list[int]] = {}
         for index in units.of_group(group):
@@ -156,8 +156,8 @@ def pieces(units: Dataset) -> tuple[ConditionData, ...]:
             counts = np.array([units.trials[index].count for index in members], dtype=float)
             length = min(len(units.trials[index].time_s) for index in members)
             trial = units.trials[members[0]]
-            found.append(ConditionData(group, tuple(members), counts / counts.sum(), trial, length))
-    return tuple(found)
+            datas.append(ConditionData(group, tuple(members), counts / counts.sum(), trial, length))
+    return tuple(datas)
 
 
 _PEAK = 99.5
@@ -189,7 +189,7 @@ class Mover:
     @property
     def moves(self) -> bool:
         """Tell whether it moves at all."""
-        return any(np.ptp(one) > 0 for one in self.coordinate if len(one) > 1)
+        return any(np.ptp(coordinates) > 0 for coordinates in self.coordinate if len(coordinates) > 1)
 
     def peak_rate(self) -> float:
         """Return the peak of its speed, without the fastest few samples."""
@@ -211,10 +211,10 @@ def site_movers(difference: Difference, pieces: Sequence[ConditionData]) -> tupl
     courses = unit_courses(difference)
     if not model.sites or courses is None:
         return ()
-    found = []
-    for place, site in enumerate(model.sites):
-        columns = [[piece.first(courses)[:, place, quantity] for piece in pieces] for quantity in range(3)]
-        found.append(
+    rows = []
+    for index, site in enumerate(model.sites):
+        columns = [[piece.first(courses)[:, index, quantity] for piece in pieces] for quantity in range(3)]
+        rows.append(
             Mover(
                 site.name,
                 site.kind,
@@ -223,12 +223,12 @@ def site_movers(difference: Difference, pieces: Sequence[ConditionData]) -> tupl
                 tuple(columns[2]) if site.load else (),
             )
         )
-    return tuple(one for one in found if one.moves)
+    return tuple(row for row in rows if row.moves)
 
 
 def unit_courses(difference: Difference) -> list[FloatArray] | None:
     """Return coordinate, rate, load and stiffness at every site, (n, sites, 4) per unit; None if not finite."""
-    found = []
+    courses = []
     for index, unit in enumerate(difference.units.trials):
         simulation = simulate(
             difference.model,
@@ -241,7 +241,7 @@ def unit_courses(difference: Difference) -> list[FloatArray] | None:
         )
         if not simulation.finite:
             return None
-        found.append(
+        courses.append(
             site_course(
                 difference.model,
                 unit.time_s,
@@ -251,22 +251,22 @@ def unit_courses(difference: Difference) -> list[FloatArray] | None:
                 condition=unit.condition,
             )
         )
-    return found
+    return courses
 
 
 def input_movers(difference: Difference, pieces: Sequence[ConditionData]) -> tuple[Mover, ...]:
     """Return every input that changes within trials, or between them where a trial is one sample."""
-    found = []
-    for column, one in enumerate(difference.model.inputs):
+    rows = []
+    for column, signal in enumerate(difference.model.inputs):
         values = tuple(piece.trial.inputs[: piece.length, column] for piece in pieces)
         rates = tuple(
             np.gradient(value, piece.time_s) if len(value) > 1 else np.zeros(1)
             for value, piece in zip(values, pieces, strict=True)
         )
-        mover = Mover(one.name, "input", values, rates)
+        mover = Mover(signal.name, "input", values, rates)
         if mover.moves or np.ptp(np.concatenate(values)) > 0:
-            found.append(mover)
-    return tuple(found)
+            rows.append(mover)
+    return tuple(rows)
 
 
 def force_unit(model: Model, site: Site, measured: Mapping[str, str]) -> str:

@@ -104,13 +104,13 @@ def _profile_law(
 ) -> float:  # fmt: skip
     """Return the force at time `t`: `values` holds the first knot's time, the knots' distance, their number, forces."""
     last = int(values[2]) - 1
-    place = (t - values[0]) / values[1]
-    if place <= 0.0:
+    position = (t - values[0]) / values[1]
+    if position <= 0.0:
         return values[3]
-    if place >= last:
+    if position >= last:
         return values[3 + last]
-    knot = int(place)
-    part = place - knot
+    knot = int(position)
+    part = position - knot
     return (1.0 - part) * values[3 + knot] + part * values[4 + knot]
 
 
@@ -168,7 +168,7 @@ def missing_forces(difference: Difference) -> tuple[MissingForce, ...]:
     some = _subset(difference)
     if some is None or not some.model.sites:
         return ()
-    forces = [_at(some, site, place) for place, site in enumerate(some.model.sites)]
+    forces = [_at(some, site, index) for index, site in enumerate(some.model.sites)]
     lawful = [force for force in forces if force is not None and _is_a_law(force)]
     return tuple(sorted(lawful, key=lambda force: -force.share))
 
@@ -197,7 +197,7 @@ def _subset(difference: Difference) -> Difference | None:
     if len(chosen) == len(units):
         return difference
     kept = tuple(units[index] for index in chosen)
-    ends = np.cumsum([one.size for one in difference.residual])[:-1]
+    ends = np.cumsum([residual.size for residual in difference.residual])[:-1]
     rows = None if difference.jacobian is None else np.split(difference.jacobian, ends)
     return replace(
         difference,
@@ -210,7 +210,7 @@ def _subset(difference: Difference) -> Difference | None:
     )
 
 
-def _at(difference: Difference, site: Site, place: int) -> MissingForce | None:
+def _at(difference: Difference, site: Site, site_index: int) -> MissingForce | None:
     if not difference.noise.known:
         # the colour of a residual is that of the gap: whitening by it would hide what is looked for
         difference = replace(difference, noise=difference.noise.plain())
@@ -228,7 +228,7 @@ def _at(difference: Difference, site: Site, place: int) -> MissingForce | None:
             trial.inputs,
             parameters=difference.parameters,
             condition=trial.condition,
-        )[:, place]
+        )[:, site_index]
         for trial, simulation in zip(trials, course.simulations, strict=True)
     ]
     return MissingForce(
@@ -241,9 +241,9 @@ def _at(difference: Difference, site: Site, place: int) -> MissingForce | None:
             np.interp(trial.time_s, knots, forces)
             for trial, knots, forces in zip(trials, search.knots, course.forces, strict=True)
         ),
-        coordinate=tuple(one[:, 0] for one in motion),
-        rate=tuple(one[:, 1] for one in motion),
-        load=tuple(one[:, 2] for one in motion) if site.load else (),
+        coordinate=tuple(course[:, 0] for course in motion),
+        rate=tuple(course[:, 1] for course in motion),
+        load=tuple(course[:, 2] for course in motion) if site.load else (),
         coordinate_unit=difference.model.coordinate_unit(site, difference.units.signal_units),
         load_unit=load_unit(difference.model, site, difference.units.signal_units),
     )
@@ -263,7 +263,7 @@ class _Search:
         size = self._size()
         if size is None:
             return None
-        course = self._simulated([np.zeros(len(one)) for one in self.knots])
+        course = self._simulated([np.zeros(len(knot)) for knot in self.knots])
         best: _Course | None = None
         for _ in range(_ROUNDS):
             if course is None:
@@ -279,16 +279,18 @@ class _Search:
 
     def share(self, course: _Course) -> float:
         """Return the part of the excess that a course explains, less what it takes out of the noise."""
-        told = self._difference.noise.known
-        count = sum(one.size for one in self._difference.residual) - self._nuisance.rank
-        excess = self._before - (count if told else 0.0)
+        message = self._difference.noise.known
+        count = sum(residual.size for residual in self._difference.residual) - self._nuisance.rank
+        excess = self._before - (count if message else 0.0)
         if excess <= 0:
             return 0.0
-        left = course.left - (self._expected if told else 0.0)
+        left = course.left - (self._expected if message else 0.0)
         return float(np.clip(1.0 - left / excess, 0.0, 1.0))
 
     def _left(self, residual: Sequence[FloatArray]) -> float:
-        white = self._nuisance.white([one / self._difference.noise_sd for one in residual])
+        white = self._nuisance.white(
+            [trial_residual / self._difference.noise_sd for trial_residual in residual]
+        )
         along = self._nuisance.span.T @ white
         return float(white @ white - along @ along)
 
@@ -322,12 +324,12 @@ class _Search:
         )
 
     def _simulated(self, forces: list[FloatArray]) -> _Course | None:
-        simulations = [self._simulate(index, one) for index, one in enumerate(forces)]
-        if not all(one.finite for one in simulations):
+        simulations = [self._simulate(index, force) for index, force in enumerate(forces)]
+        if not all(simulation.finite for simulation in simulations):
             return None
         residual = [
-            left + before - one.outputs
-            for left, before, one in zip(
+            left + before - simulation.outputs
+            for left, before, simulation in zip(
                 self._difference.residual, self._difference.simulated, simulations, strict=True
             )
         ]
@@ -370,7 +372,7 @@ def _knots(difference: Difference) -> list[FloatArray]:
         _FEWEST_KNOTS,
         min(_MOST_KNOTS, _MOST_COEFFICIENTS // len(difference.units.trials)),
     )
-    found = []
+    knots = []
     for unit, simulated in zip(difference.units.trials, difference.simulated, strict=True):
         trial = unit
         signals = [*trial.inputs.T, *simulated.T]
@@ -378,5 +380,5 @@ def _knots(difference: Difference) -> list[FloatArray]:
         duration = float(trial.time_s[-1] - trial.time_s[0])
         wanted = most if cycle is None else int(np.ceil(_KNOTS_PER_CYCLE * duration / cycle.period_s)) + 1
         count = min(most, max(_FEWEST_KNOTS, wanted), len(trial.time_s))
-        found.append(np.linspace(trial.time_s[0], trial.time_s[-1], count))
-    return found
+        knots.append(np.linspace(trial.time_s[0], trial.time_s[-1], count))
+    return knots

@@ -115,7 +115,7 @@ class SampleLayout:
     def whole(self, chosen: Sequence[bool]) -> BoolArray:
         """Return all entries of some pieces."""
         return self.samples(
-            [np.full(piece.length, one) for piece, one in zip(self.pieces, chosen, strict=True)]
+            [np.full(piece.length, is_chosen) for piece, is_chosen in zip(self.pieces, chosen, strict=True)]
         )
 
     def channel(self, column: int) -> BoolArray:
@@ -128,8 +128,8 @@ class SampleLayout:
 def channel_parts(difference: Difference, layout: SampleLayout) -> list[Part]:
     """Return one part per output."""
     return [
-        Part("channel", one.name, channel_text(one.name), layout.channel(column))
-        for column, one in enumerate(difference.model.outputs)
+        Part("channel", output.name, channel_text(output.name), layout.channel(column))
+        for column, output in enumerate(difference.model.outputs)
     ]
 
 
@@ -169,42 +169,47 @@ def condition_sets(difference: Difference, pieces: Sequence[ConditionData]) -> l
 
 
 def _keys(conditions: Sequence[Mapping[str, float | str]]) -> list[str]:
-    return list(dict.fromkeys(key for one in conditions for key in one))
+    return list(dict.fromkeys(key for condition in conditions for key in condition))
 
 
 def condition_parts(difference: Difference, layout: SampleLayout) -> list[Part]:
     """Return the conditions; where trials are single samples, also each channel in each of them."""
     few = bool(np.median([piece.length for piece in layout.pieces]) <= _FEW_SAMPLES)
     sets = condition_sets(difference, layout.pieces)
-    parts = [Part("condition", one.at, one.text, layout.whole(one.chosen)) for one in sets]
+    parts = [
+        Part("condition", condition_set.at, condition_set.text, layout.whole(condition_set.chosen))
+        for condition_set in sets
+    ]
     if few and layout.channels > 1:
         for column, output in enumerate(difference.model.outputs):
             parts += [
                 Part(
                     "condition",
-                    f"{output.name}{JOINT}{one.at}",
-                    f"{channel_text(output.name)} {one.text}",
-                    layout.whole(one.chosen) & layout.channel(column),
+                    f"{output.name}{JOINT}{condition_set.at}",
+                    f"{channel_text(output.name)} {condition_set.text}",
+                    layout.whole(condition_set.chosen) & layout.channel(column),
                 )
-                for one in sets
+                for condition_set in sets
             ]
     return parts
 
 
 def in_each_condition(difference: Difference, layout: SampleLayout, parts: Sequence[Part]) -> list[Part]:
     """Return parts of the time view cut by condition; none where there are too many conditions for that, or one."""
-    singles = [one for one in condition_sets(difference, layout.pieces) if one.single]
+    singles = [
+        condition_set for condition_set in condition_sets(difference, layout.pieces) if condition_set.single
+    ]
     if not 2 <= len(singles) <= _MOST_CUT:
         return []
     return [
         Part(
             part.by,
-            f"{part.at}{JOINT}{one.at}",
-            f"{part.text} {one.text}",
-            part.members & layout.whole(one.chosen),
+            f"{part.at}{JOINT}{single.at}",
+            f"{part.text} {single.text}",
+            part.members & layout.whole(single.chosen),
         )
         for part in parts
-        for one in singles
+        for single in singles
     ]
 
 
@@ -260,7 +265,7 @@ def input_parts(mover: Mover, layout: SampleLayout) -> list[Part]:
 def _thirds(
     values: Sequence[FloatArray], layout: SampleLayout, at: str, what: str, *, absolute: bool
 ) -> list[Part]:
-    sizes = [np.abs(one) if absolute else one for one in values]
+    sizes = [np.abs(value) if absolute else value for value in values]
     every = np.concatenate(sizes)
     low, high = float(every.min()), float(every.max())
     if not high > low:
@@ -271,16 +276,16 @@ def _thirds(
             "state",
             f"{at} {name}",
             f"{name} values of {what}",
-            layout.samples([(one >= edges[place]) & (one < edges[place + 1]) for one in sizes]),
+            layout.samples([(size >= edges[index]) & (size < edges[index + 1]) for size in sizes]),
         )
-        for place, name in enumerate(("low", "middle", "high"))
+        for index, name in enumerate(("low", "middle", "high"))
     ]
 
 
 def reversal_parts(mover: Mover, layout: SampleLayout) -> list[Part]:
     """Return what lies within 100 ms of a reversal (less where strokes are short), and what does not."""
     turns = [mover.reversals(index, piece.time_s) for index, piece in enumerate(layout.pieces)]
-    strokes = np.concatenate([np.diff(one) for one in turns])
+    strokes = np.concatenate([np.diff(turn) for turn in turns])
     if sum(map(len, turns)) == 0:
         return []
     near_s = (
@@ -289,8 +294,8 @@ def reversal_parts(mover: Mover, layout: SampleLayout) -> list[Part]:
         else _NEAR_REVERSAL_S
     )
     masks = []
-    for one, piece in zip(turns, layout.pieces, strict=True):
-        away = np.abs(piece.time_s[:, None] - one[None, :]).min(axis=1, initial=np.inf)
+    for turn, piece in zip(turns, layout.pieces, strict=True):
+        away = np.abs(piece.time_s[:, None] - turn[None, :]).min(axis=1, initial=np.inf)
         masks.append(away <= near_s)
     name, within = plain(mover.label), f"{1e3 * near_s:.0f} ms"
     near = layout.samples(masks)

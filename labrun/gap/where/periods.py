@@ -67,7 +67,7 @@ def find_cycle(
     if len(time_s) < _FEWEST_CYCLE_SAMPLES:
         return None
     duration = float(time_s[-1] - time_s[0])
-    moving = [one for one in signals if np.ptp(one) > 0]
+    moving = [signal for signal in signals if np.ptp(signal) > 0]
     for stated in _stated(condition):
         if _FEWEST_CYCLES * stated > duration or stated < 4.0 * duration / len(time_s):
             continue
@@ -82,15 +82,15 @@ def find_cycle(
 
 
 def _stated(condition: Mapping[str, float | str]) -> list[float]:
-    found = []
+    rows = []
     for key, value in condition.items():
         if isinstance(value, str) or not value > 0:
             continue
         if key in FREQUENCY_KEYS:
-            found.append(1.0 / float(value))
+            rows.append(1.0 / float(value))
         elif key in PERIOD_KEYS:
-            found.append(float(value))
-    return found
+            rows.append(float(value))
+    return rows
 
 
 def _design(time_s: FloatArray, period: float) -> FloatArray:
@@ -138,13 +138,13 @@ def piece_cycles(
     difference: Difference, layout: SampleLayout, sites: Sequence[Mover], inputs: Sequence[Mover]
 ) -> tuple[Cycle | None, ...]:
     """Return the cycle of every piece: of what drives it, else of what moves, else of its outputs."""
-    found = []
+    rows = []
     for index, piece in enumerate(layout.pieces):
         signals = [mover.coordinate[index] for mover in (*inputs, *sites)]
         outputs = piece.first(difference.simulated)
         signals += [outputs[:, column] for column in range(layout.channels)]
-        found.append(find_cycle(piece.time_s, signals, piece.trial.condition))
-    return tuple(found)
+        rows.append(find_cycle(piece.time_s, signals, piece.trial.condition))
+    return tuple(rows)
 
 
 def stroke_parts(layout: SampleLayout, cycles: Sequence[Cycle | None], movers: Sequence[Mover]) -> list[Part]:
@@ -189,16 +189,16 @@ class Spectra:
 
     def power(self, values: Sequence[FloatArray]) -> FloatArray:
         """Return the power of every piece's (n, m), (frequencies, m) flat, one after the other."""
-        found = []
-        for piece, one in zip(self.layout.pieces, values, strict=True):
+        rows = []
+        for piece, value in zip(self.layout.pieces, values, strict=True):
             if not _even(piece):
                 continue
             taper = np.hanning(piece.length + 2)[1:-1]
             taper = taper / np.sqrt(np.mean(taper**2))
-            power = np.square(np.abs(np.fft.rfft(one * taper[:, None], axis=0))) / piece.length
+            power = np.square(np.abs(np.fft.rfft(value * taper[:, None], axis=0))) / piece.length
             power[1 : (piece.length + 1) // 2] *= 2.0
-            found.append(power.ravel())
-        return np.concatenate(found) if found else np.empty(0)
+            rows.append(power.ravel())
+        return np.concatenate(rows) if rows else np.empty(0)
 
     def frequency_hz(self, piece: ConditionData) -> FloatArray:
         """Return the frequencies of a piece's spectrum."""
@@ -227,8 +227,8 @@ def band_parts(
     pieces = spectra.possible
     if not pieces:
         return []
-    found = [cycle for piece, cycle in zip(spectra.layout.pieces, cycles, strict=True) if _even(piece)]
-    drives = [cycle.frequency_hz for cycle in found if cycle is not None]
+    even_cycles = [cycle for piece, cycle in zip(spectra.layout.pieces, cycles, strict=True) if _even(piece)]
+    drives = [cycle.frequency_hz for cycle in even_cycles if cycle is not None]
     if len(drives) == len(pieces):
         return _about_drive(spectra, drives, "drive" if driven else "oscillation")
     return _absolute(spectra, simulated)
@@ -259,7 +259,7 @@ def _absolute(spectra: Spectra, simulated: Sequence[FloatArray]) -> list[Part]:
     nyquist = max(float(spectra.frequency_hz(piece)[-1]) for piece in pieces)
     deviation = np.std(np.concatenate(simulated), axis=0)
     moving = np.where(deviation > 0, deviation, 1.0)
-    power = spectra.power([(one - one.mean(axis=0)) / moving for one in simulated])
+    power = spectra.power([(outputs - outputs.mean(axis=0)) / moving for outputs in simulated])
     frequency = np.concatenate(
         [np.repeat(spectra.frequency_hz(piece), spectra.layout.channels) for piece in pieces]
     )

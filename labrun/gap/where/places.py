@@ -64,7 +64,7 @@ def find_places(
     def densities(scaled: Sequence[FloatArray]) -> dict[str, FloatArray]:
         values = [piece.of(scaled) for piece in layout.pieces]
         return {
-            "time": np.concatenate([np.square(one).ravel() for one in values]),
+            "time": np.concatenate([np.square(value).ravel() for value in values]),
             "frequency": spectra.power(values),
         }
 
@@ -105,13 +105,13 @@ def _of_signal(
 ) -> FloatArray:
     """Return the part of the simulated signals' power, about their means, that bands of frequencies hold; else 0."""
     simulated = [piece.first(difference.simulated) for piece in layout.pieces]
-    power = spectra.power([(one - one.mean(axis=0)) / difference.scale for one in simulated])
+    power = spectra.power([(first - first.mean(axis=0)) / difference.scale for first in simulated])
     total = float(power.sum())
     banded = [part.view == "frequency" and total > 0 for part in parts]
     return np.array(
         [
-            float(power[part.members].sum()) / total if one else 0.0
-            for part, one in zip(parts, banded, strict=True)
+            float(power[part.members].sum()) / total if banded_part else 0.0
+            for part, banded_part in zip(parts, banded, strict=True)
         ]
     )
 
@@ -138,11 +138,11 @@ def _placed(
         share = float(finding.share[index])
         p = None if part.by == "channel" and part.at in untold else float(finding.p[index])
         lift = share / max(float(makes_up[index]), 1e-12)
-        place = Place(part.by, part.at, share, p, part.text, float(makes_up[index]))
+        location = Place(part.by, part.at, share, p, part.text, float(makes_up[index]))
         ranked.append(
-            (p is None or p > criteria.STANDS_OUT, JOINT in part.at, -max(lift, 0.0) * share, place)
+            (p is None or p > criteria.STANDS_OUT, JOINT in part.at, -max(lift, 0.0) * share, location)
         )
-    return [place for *_, place in sorted(ranked, key=lambda one: one[:3])]
+    return [location for *_, location in sorted(ranked, key=lambda key: key[:3])]
 
 
 def _channels_that_told_their_noise(difference: Difference) -> set[str]:
@@ -150,4 +150,6 @@ def _channels_that_told_their_noise(difference: Difference) -> set[str]:
     outputs = difference.model.outputs
     units = difference.output_units
     alone = not difference.noise.known
-    return {one.name for one, unit in zip(outputs, units, strict=True) if alone and units.count(unit) == 1}
+    return {
+        output.name for output, unit in zip(outputs, units, strict=True) if alone and units.count(unit) == 1
+    }

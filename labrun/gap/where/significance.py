@@ -41,8 +41,8 @@ class NuisanceSubspace:
     def __init__(self, difference: Difference) -> None:
         self._whitener = difference.noise.whitener
         self._roots = [float(np.sqrt(unit.count)) for unit in difference.units.trials]
-        self._shapes = [one.shape for one in difference.residual]
-        sizes = [one.size for one in difference.residual]
+        self._shapes = [residual.shape for residual in difference.residual]
+        sizes = [residual.size for residual in difference.residual]
         self._ends = np.cumsum(sizes)[:-1]
         none = np.empty((sum(sizes), 0)) if difference.jacobian is None else difference.jacobian
         parts = [
@@ -60,30 +60,32 @@ class NuisanceSubspace:
     @property
     def rank(self) -> int:
         """Number of directions that recalibration has."""
-        return int(sum(one.white.shape[1] for one in self._own) + self._shared.white.shape[1])
+        return int(sum(nuisance.white.shape[1] for nuisance in self._own) + self._shared.white.shape[1])
 
     @property
     def span(self) -> FloatArray:
         """All directions of the white world, orthonormal columns, (all numbers, rank)."""
         from scipy.linalg import block_diag
 
-        return np.concatenate([block_diag(*[one.white for one in self._own]), self._shared.white], axis=1)
+        return np.concatenate(
+            [block_diag(*[nuisance.white for nuisance in self._own]), self._shared.white], axis=1
+        )
 
     def white(self, values: Sequence[FloatArray]) -> FloatArray:
         """Return values of every unit (n, m) as white noise of standard deviation 1, in one vector."""
-        return np.concatenate([self._white(one, unit) for unit, one in enumerate(values)])
+        return np.concatenate([self._white(value, unit) for unit, value in enumerate(values)])
 
     def left(self, values: Sequence[FloatArray]) -> list[FloatArray]:
         """Return what recalibration leaves of values of every unit (n, m)."""
         if self.rank == 0:
             return list(values)
-        white = [self._white(one, unit) for unit, one in enumerate(values)]
-        along = [own.white.T @ one for own, one in zip(self._own, white, strict=True)]
+        white = [self._white(value, unit) for unit, value in enumerate(values)]
+        along = [own.white.T @ whitened for own, whitened in zip(self._own, white, strict=True)]
         # what is shared is orthogonal to what is each unit's own
         together = self._shared.plain @ (self._shared.white.T @ np.concatenate(white))
         return [
-            one - (own.plain @ size + part).reshape(one.shape)
-            for one, own, size, part in zip(
+            value - (own.plain @ size + part).reshape(value.shape)
+            for value, own, size, part in zip(
                 values, self._own, along, np.split(together, self._ends), strict=True
             )
         ]
@@ -174,15 +176,15 @@ def weigh(
     """
     relative = not difference.noise.known
     sums = _Sums(parts)
-    found, whole = sums.of(densities(difference.scaled))
+    measured_densities, whole = sums.of(densities(difference.scaled))
     noise, noise_whole = _null(difference, sums, densities, rng, draws)
     expected, expected_whole = noise.mean(axis=0), noise_whole.mean(axis=0)
-    excess = found if relative else found - expected
+    excess = measured_densities if relative else measured_densities - expected
     total = whole if relative else whole - expected_whole
     if relative:
-        observed, null = found / _positive(whole), noise / _positive(noise_whole)
+        observed, null = measured_densities / _positive(whole), noise / _positive(noise_whole)
     else:
-        observed, null = found, noise
+        observed, null = measured_densities, noise
     root, roots = _normal(observed, relative), _normal(null, relative)
     # what is observed counts as one draw more, so that under noise alone all of them are alike
     every = np.concatenate([root[None], roots])
@@ -209,7 +211,7 @@ class _Sums:
         from scipy.sparse import csr_matrix
 
         self._count = len(parts)
-        self._views = [one for one in ("time", "frequency") if any(part.view == one for part in parts)]
+        self._views = [name for name in ("time", "frequency") if any(part.view == name for part in parts)]
         self._rows = {
             view: np.array([row for row, part in enumerate(parts) if part.view == view])
             for view in self._views
@@ -231,8 +233,11 @@ def _null(
     difference: Difference, sums: _Sums, densities: Densities, rng: np.random.Generator, draws: int
 ) -> tuple[FloatArray, FloatArray]:
     size = difference.noise_sd / difference.scale
-    found = [sums.of(densities([one * size for one in drawn])) for drawn in redrawn(difference, rng, draws)]
-    return np.stack([one for one, _ in found]), np.stack([one for _, one in found])
+    drawn_densities = [
+        sums.of(densities([residual * size for residual in drawn]))
+        for drawn in redrawn(difference, rng, draws)
+    ]
+    return np.stack([draw for draw, _ in drawn_densities]), np.stack([draw for _, draw in drawn_densities])
 
 
 def redrawn(difference: Difference, rng: np.random.Generator, draws: int) -> Iterator[list[FloatArray]]:
@@ -244,7 +249,7 @@ def redrawn(difference: Difference, rng: np.random.Generator, draws: int) -> Ite
         # the noise was estimated from few repeats, and may be larger than the estimate
         size = np.sqrt(known / rng.chisquare(known)) / sd
         yield nuisance.left(
-            [one * size for one in difference.noise.draw(difference.units, rng, cautious=True)]
+            [residual * size for residual in difference.noise.draw(difference.units, rng, cautious=True)]
         )
 
 
@@ -258,9 +263,9 @@ def _freedom(difference: Difference, rng: np.random.Generator) -> FloatArray:
     if noise.basis != "repeats" or noise.freedom >= criteria.ENOUGH_FREEDOM:
         return np.full(noise.sd.shape, _AS_GOOD_AS_KNOWN)
     squares = [
-        np.mean(np.square(one) * unit.count, axis=0) / noise.sd**2
+        np.mean(np.square(residual) * unit.count, axis=0) / noise.sd**2
         for _ in range(max(1, _TRIALS // len(units.trials)))
-        for one, unit in zip(noise.draw(units, rng, cautious=True), units.trials, strict=True)
+        for residual, unit in zip(noise.draw(units, rng, cautious=True), units.trials, strict=True)
     ]
     scatter = np.var(squares, axis=0) / max(noise.freedom, 1)
     return np.asarray(

@@ -276,18 +276,22 @@ def _named(kind: str, rest: str, index: int | None) -> tuple[str, str]:
     """Split into name and attribute; a name may have dots."""
     name, _, attribute = rest.rpartition(".")
     if not name:
-        told = f"{kind}.{rest}" if index is None else f"{kind}.{rest}[{index}]"
-        raise ReferenceProblem(f"{told!r} says a name but not what of it", f"write {kind}.{rest}.something")
+        message = f"{kind}.{rest}" if index is None else f"{kind}.{rest}[{index}]"
+        raise ReferenceProblem(
+            f"{message!r} says a name but not what of it", f"write {kind}.{rest}.something"
+        )
     return name, attribute
 
 
-def _component(told: str, width: int, index: int | None, first: bool) -> int:
+def _component(message: str, width: int, index: int | None, first: bool) -> int:
     if index is None:
         if width == 1 or first:
             return 0
-        raise ReferenceProblem(f"{told} has {width} numbers", f"say which: {told}[0] to {told}[{width - 1}]")
+        raise ReferenceProblem(
+            f"{message} has {width} numbers", f"say which: {message}[0] to {message}[{width - 1}]"
+        )
     if index >= width:
         raise ReferenceProblem(
-            f"{told} has {width} numbers, so that there is none at [{index}]", "[0] is the first"
+            f"{message} has {width} numbers, so that there is none at [{index}]", "[0] is the first"
         )
     return index

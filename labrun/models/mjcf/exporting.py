@@ -64,15 +64,15 @@ def mjcf_of(model: Model) -> Exported:
     compiled = spec.compile()
     corrected = _with_values(model)
     written, masses = [], compiled.body_mass.copy()
-    for _, place in model.layout.settings:
-        before, after = place.read(compiled), place.read(corrected)
+    for _, memory in model.layout.settings:
+        before, after = memory.read(compiled), memory.read(corrected)
         if before != after:
-            place.write(compiled, after)
+            memory.write(compiled, after)
             if not _goes_along(
-                place.array, place.index, after / before if before else 0.0, masses, corrected
+                memory.array, memory.index, after / before if before else 0.0, masses, corrected
             ):
-                element = _named(corrected, place.array, place.index)[0] if place.owner == "model" else ""
-                where = f"{place.array} of {element}" if element else f"{place.array}[{place.index}]"
+                element = _named(corrected, memory.array, memory.index)[0] if memory.owner == "model" else ""
+                where = f"{memory.array} of {element}" if element else f"{memory.array}[{memory.index}]"
                 written.append(f"{where}: {before:.6g} became {after:.6g}")
     try:
         spec.copy_back(compiled)
@@ -124,16 +124,16 @@ def _write(spec: Any, compiled: Any, model: MujocoModel, effect: AttachedEffect)
             return _stop(compiled, joint, *_STOPS[effect.effect.id](values))
         return _JOINT[effect.effect.id](joint, values) if effect.effect.id in _JOINT else None
     if effect.effect.kind == "input":
-        place = model.layout.inputs[[one.name for one in model.inputs].index(effect.site)]
-        if place.array == "ctrl" and effect.effect.id in _INPUT:
-            return _INPUT[effect.effect.id](spec.actuators[place.index], values, compiled)
+        signal = model.layout.inputs[[port.name for port in model.inputs].index(effect.site)]
+        if signal.array == "ctrl" and effect.effect.id in _INPUT:
+            return _INPUT[effect.effect.id](spec.actuators[signal.index], values, compiled)
     return None
 
 
 def _joint_of(spec: Any, compiled: Any, model: MujocoModel, effect: AttachedEffect) -> Any:
     """Return the joint of a description that an effect sits at."""
-    place = model.layout.sites[[site.name for site in model.sites].index(effect.site)]
-    return spec.joints[int(compiled.dof_jntid[place.index])]
+    memory = model.layout.sites[[site.name for site in model.sites].index(effect.site)]
+    return spec.joints[int(compiled.dof_jntid[memory.index])]
 
 
 def _constant_force(spec: Any, joint: Any, force: float) -> str:
@@ -325,20 +325,20 @@ def mjcf_ranges(model: Model, intervals: Mapping[str, tuple[float, float, float]
     """
     if not isinstance(model, MujocoModel):
         raise ModelError(f"{model.name} is no model in MuJoCo: there is no MJCF to write")
-    found = []
+    ranges = []
     for name, numbers in intervals.items():
         courses, masses = [], []
         for value in numbers:
             native = _with_values(replace(model, parameters=model.with_values({name: value}).parameters))
-            courses.append([place.read(native) for _, place in model.layout.settings])
+            courses.append([memory.read(native) for _, memory in model.layout.settings])
             masses.append(native.body_mass.copy())
-        for (_, place), middle, low, high in zip(model.layout.settings, *courses, strict=True):
+        for (_, memory), middle, low, high in zip(model.layout.settings, *courses, strict=True):
             factor = high / low if low else 0.0
-            if low != high and not _goes_along(place.array, place.index, factor, masses[1], native):
-                element, joint = _named(native, place.array, place.index)
+            if low != high and not _goes_along(memory.array, memory.index, factor, masses[1], native):
+                element, joint = _named(native, memory.array, memory.index)
                 ends = sorted((low, high))
-                found.append(MjcfRange(name, place.array, element, joint, middle, ends[0], ends[1]))
-    return found
+                ranges.append(MjcfRange(name, memory.array, element, joint, middle, ends[0], ends[1]))
+    return ranges
 
 
 def _goes_along(array: str, index: int, factor: float, masses: FloatArray, changed: Any) -> bool:

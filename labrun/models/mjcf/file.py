@@ -55,9 +55,9 @@ class States:
     quaternions: tuple[tuple[int, MemoryPlace], ...]
     reference: tuple[float, ...]
 
-    def named(self, place: MemoryPlace) -> str:
+    def named(self, memory: MemoryPlace) -> str:
         """Return the name of the state at a place."""
-        return self.names[self.places.index(place)]
+        return self.names[self.places.index(memory)]
 
 
 def mujoco_model(file: ModelFile) -> MujocoModel:
@@ -70,14 +70,14 @@ def mujoco_model(file: ModelFile) -> MujocoModel:
     elements = Elements(native)
     states = _states(file, elements, given.states)
     inputs = inputs_of(given.inputs)
-    outputs = tuple(Output(name, one.unit) for name, one in given.outputs.items())
+    outputs = tuple(Output(name, output.unit) for name, output in given.outputs.items())
     driven = _resolved(
-        file, "inputs", {name: one.mjcf for name, one in given.inputs.items()}, elements.driven
+        file, "inputs", {name: signal.mjcf for name, signal in given.inputs.items()}, elements.driven
     )
     shown = _resolved(
-        file, "outputs", {name: one.mjcf for name, one in given.outputs.items()}, elements.shown
+        file, "outputs", {name: output.mjcf for name, output in given.outputs.items()}, elements.shown
     )
-    joints = {name: one.joint or name for name, one in given.sites.items()}
+    joints = {name: site.joint or name for name, site in given.sites.items()}
     dofs = _resolved(file, "sites", joints, elements.one_joint, "joint")
     settings = _settings(file, given, elements)
     file.refuse()
@@ -85,14 +85,14 @@ def mujoco_model(file: ModelFile) -> MujocoModel:
     sites = tuple(
         Site(
             name,
-            one.kind,
+            site.kind,
             states.named(MemoryPlace("data", "qpos", position)),
             states.named(MemoryPlace("data", "qvel", dof)),
-            one.load.text if "load" in one.model_fields_set else "",
-            one.stiffness,
-            one.drive,
+            site.load.text if "load" in site.model_fields_set else "",
+            site.stiffness,
+            site.drive,
         )
-        for (name, one), (position, dof) in zip(given.sites.items(), dofs, strict=True)
+        for (name, site), (position, dof) in zip(given.sites.items(), dofs, strict=True)
     )
     places = places_of(file, states.names, inputs, parameters)
     quantities: dict[KeyPath, Expression] = {
@@ -100,19 +100,19 @@ def mujoco_model(file: ModelFile) -> MujocoModel:
         for site in sites
         for quantity in SITE_QUANTITIES
     }
-    expressions = {path: one for path, (one, _) in settings.items()} | quantities
+    expressions = {path: expression for path, (expression, _) in settings.items()} | quantities
     _check_springs(file, given)
     conditions = conditions_of(file, expressions, places, given.conditions)
     initial = _initial(file, given, states, outputs)
     file.refuse()
     refuse_unused(file, expressions, parameters, conditions)
-    places |= {one: f"p[{len(parameters) + index}]" for index, one in enumerate(conditions)}
+    places |= {condition: f"p[{len(parameters) + index}]" for index, condition in enumerate(conditions)}
     _check_settings(file, settings, places)
     file.refuse()
 
     at = len(parameters) + len(conditions)
     made = functions(
-        [one for one, _ in settings.values()],
+        [expression for expression, _ in settings.values()],
         list(quantities.values()),
         places,
         at,
@@ -128,7 +128,7 @@ def mujoco_model(file: ModelFile) -> MujocoModel:
         sites=tuple(MemoryPlace("data", "qfrc_applied", dof) for _, dof in dofs),
         values=len(settings),
         settings=tuple(
-            (index, place) for index, (_, targets) in enumerate(settings.values()) for place in targets
+            (index, target) for index, (_, targets) in enumerate(settings.values()) for target in targets
         ),
         outputs=shown,
     )
@@ -208,8 +208,8 @@ def _resolved(
     file: ModelFile, table: str, texts: Mapping[str, str], ask: Callable[[str], Found], key: str = "mjcf"
 ) -> tuple[Found, ...]:
     """Return what each reference of a table means; those that mean nothing are left out, and are faults."""
-    found = [_resolve(file, (table, name, key), ask, text) for name, text in texts.items()]
-    return tuple(one for one in found if one is not None)
+    founds = [_resolve(file, (table, name, key), ask, text) for name, text in texts.items()]
+    return tuple(match for match in founds if match is not None)
 
 
 Settings = dict[KeyPath, tuple[Expression, tuple[MemoryPlace, ...]]]
@@ -219,9 +219,9 @@ Settings = dict[KeyPath, tuple[Expression, tuple[MemoryPlace, ...]]]
 def _settings(file: ModelFile, given: MujocoFile, elements: Elements) -> Settings:
     """Return all that sets something in the MJCF model."""
     asked: dict[KeyPath, tuple[str, Expression]] = {
-        ("parameters", name, "mjcf"): (one.mjcf, Expression.of(name))
-        for name, one in given.parameters.items()
-        if one.mjcf
+        ("parameters", name, "mjcf"): (parameter.mjcf, Expression.of(name))
+        for name, parameter in given.parameters.items()
+        if parameter.mjcf
     }
     asked |= {("mjcf", reference): (reference, equation) for reference, equation in given.mjcf.items()}
     settings: Settings = {}
@@ -231,26 +231,27 @@ def _settings(file: ModelFile, given: MujocoFile, elements: Elements) -> Setting
         if targets is None:
             continue
         settings[path] = expression, targets
-        for place in targets:
-            if place in taken:
-                file.note(path, f"line {file.line_of(taken[place])} sets the same number of the MJCF model")
-            taken[place] = path
+        for target in targets:
+            if target in taken:
+                file.note(path, f"line {file.line_of(taken[target])} sets the same number of the MJCF model")
+            taken[target] = path
     return settings
 
 
 def _parameters(file: ModelFile, given: MujocoFile, settings: Settings, native: Any) -> tuple[Parameter, ...]:
     parameters = []
-    for name, one in given.parameters.items():
-        value, path = one.value, ("parameters", name, "mjcf")
+    for name, parameter in given.parameters.items():
+        value, path = parameter.value, ("parameters", name, "mjcf")
         if value is None and path in settings:
             value = float(settings[path][1][0].read(native))
-            if not one.lower <= value <= one.upper:
+            if not parameter.lower <= value <= parameter.upper:
                 file.note(
-                    path, f"the value {value:g} is outside of its bounds {one.lower:g} to {one.upper:g}"
+                    path,
+                    f"the value {value:g} is outside of its bounds {parameter.lower:g} to {parameter.upper:g}",
                 )
         if value is None:
             file.note(("parameters", name), 'the key "value" is missing')
-        parameters.append(parameter_of(name, one, value or 0.0))
+        parameters.append(parameter_of(name, parameter, value or 0.0))
     return tuple(parameters)
 
 
@@ -324,7 +325,7 @@ def _states(file: ModelFile, elements: Elements, renamed: Mapping[str, str]) -> 
         places.append(MemoryPlace("data", "act", index))
         rates.append(MemoryPlace("data", "act_dot", index))
     _rename(file, elements, renamed, names, places)
-    reference = (*(float(one) for one in model.qpos0), *[0.0] * (model.nv + model.na))
+    reference = (*(float(position) for position in model.qpos0), *[0.0] * (model.nv + model.na))
     return States(tuple(names), tuple(places), tuple(rates), tuple(quaternions), reference)
 
 
@@ -337,11 +338,11 @@ def _rename(
 ) -> None:
     for name, text in renamed.items():
         joint, _, quantity = text.removeprefix("joint.").rpartition(".")
-        place = _resolve(file, ("states", name), partial(elements.moving, joint), quantity)
-        if place is not None and place not in places:
+        memory = _resolve(file, ("states", name), partial(elements.moving, joint), quantity)
+        if memory is not None and memory not in places:
             file.note(("states", name), f"{text!r} is no state", "a joint's position or velocity is one")
-        elif place is not None:
-            names[places.index(place)] = name
+        elif memory is not None:
+            names[places.index(memory)] = name
     twice = {name for name in names if names.count(name) > 1}
     for name in sorted(twice):
         file.note(("states",), f"two states are called {name!r}", "give one another name in [states]")

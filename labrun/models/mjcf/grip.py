@@ -27,37 +27,37 @@ def with_grip_held(robot: Robot, at: Mapping[str, float]) -> Robot:
     tied = _tied(mujoco, model)
     if not tied or _carries_others(model, tied):
         return robot
-    names = [str(model.joint(one).name) for one in sorted(tied)]
+    names = [str(model.joint(index).name) for index in sorted(tied)]
     data = mujoco.MjData(model)
     for name in names:
         data.qpos[model.joint(name).qposadr[0]] = at.get(name, float(model.joint(name).qpos0[0]))
     mujoco.mj_kinematics(model, data)
-    for number in {int(model.jnt_bodyid[one]) for one in tied}:
+    for number in {int(model.jnt_bodyid[index]) for index in tied}:
         body, parent = spec.bodies[number], int(model.body_parentid[number])
         back = np.empty(4)
         mujoco.mju_negQuat(back, data.xquat[parent])
-        place, turn = np.empty(3), np.empty(4)
-        mujoco.mju_rotVecQuat(place, data.xpos[number] - data.xpos[parent], back)
+        position, turn = np.empty(3), np.empty(4)
+        mujoco.mju_rotVecQuat(position, data.xpos[number] - data.xpos[parent], back)
         mujoco.mju_mulQuat(turn, back, data.xquat[number])
-        body.pos, body.quat = place, turn
-    gone = {*names, *(one.name for one in spec.tendons)}
+        body.pos, body.quat = position, turn
+    gone = {*names, *(tendon.name for tendon in spec.tendons)}
     for listed in (spec.equalities, spec.tendons, spec.keys):
-        for one in list(listed):
-            spec.delete(one)
-    for one in [one for one in spec.sensors if one.objname in gone]:
-        spec.delete(one)
-    for one in [one for one in spec.actuators if one.target in gone]:
-        spec.delete(one)
+        for entry in list(listed):
+            spec.delete(entry)
+    for entry in [sensor for sensor in spec.sensors if sensor.objname in gone]:
+        spec.delete(entry)
+    for actuator in [actuator for actuator in spec.actuators if actuator.target in gone]:
+        spec.delete(actuator)
     for name in names:
         spec.delete(spec.joint(name))
     spec.compile()
-    left = {one.name for one in spec.actuators}
+    left = {actuator.name for actuator in spec.actuators}
     remark = f"{', '.join(names)}: tied together, held where the log has them on the average; not looked at"
     return replace(
         robot,
         xml=mjcf_text(spec),
-        joints=tuple(one for one in robot.joints if one.name not in names),
-        actuators=tuple(one for one in robot.actuators if one.name in left),
+        joints=tuple(joint for joint in robot.joints if joint.name not in names),
+        actuators=tuple(actuator for actuator in robot.actuators if actuator.name in left),
         remarks=(*robot.remarks, remark),
     )
 
@@ -69,13 +69,13 @@ def _tied(mujoco: Any, model: Any) -> set[int]:
         return set()
     if np.any(model.wrap_type != int(mujoco.mjtWrap.mjWRAP_JOINT)):
         return set()
-    tied = {int(one) for one in (*model.eq_obj1id, *model.eq_obj2id, *model.wrap_objid) if one >= 0}
-    return tied if all(model.jnt_type[one] in simple for one in tied) else set()
+    tied = {int(index) for index in (*model.eq_obj1id, *model.eq_obj2id, *model.wrap_objid) if index >= 0}
+    return tied if all(model.jnt_type[index] in simple for index in tied) else set()
 
 
 def _carries_others(model: Any, tied: set[int]) -> bool:
     """Tell whether a joint that is not tied stands on a body that a tied one moves, or further out."""
-    moved = {int(model.jnt_bodyid[one]) for one in tied}
+    moved = {int(model.jnt_bodyid[index]) for index in tied}
     for joint in set(range(model.njnt)) - tied:
         body = int(model.jnt_bodyid[joint])
         while body:

@@ -69,23 +69,23 @@ def carried(xml: str, joints: list[str], motion: tuple[FloatArray, FloatArray, F
     masses, inertias = model.body_mass.copy(), model.body_inertia.copy()
     heavy = [k for k in range(1, model.nbody) if masses[k] > 0 and _moved(model, k)]
     names = tuple(mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, k) or f"body{k}" for k in heavy)
-    one = _Pass(mujoco, model, data, positions, dofs, motion)
+    dynamics_pass = _Pass(mujoco, model, data, positions, dofs, motion)
     inertia, torque = [], []
     for body in heavy:
         model.body_mass[:], model.body_inertia[:] = 0.0, 0.0
         model.body_mass[body], model.body_inertia[body] = masses[body], inertias[body]
-        full, own = one.torque(), one.inertia()
+        full, own = dynamics_pass.torque(), dynamics_pass.inertia()
         inertia.append(own)
         torque.append(full - own * motion[2])
     model.body_mass[:], model.body_inertia[:] = masses, inertias
-    slope, rate_slope = one.slopes()
+    slope, rate_slope = dynamics_pass.slopes()
     gravity = model.opt.gravity.copy()
     tilt = []
-    still = one.torque(gravity_only=True)
+    still = dynamics_pass.torque(gravity_only=True)
     for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
         # the base turns one way, gravity in it the other
         model.opt.gravity[:] = gravity - np.cross(axis, gravity)
-        tilt.append(one.torque(gravity_only=True) - still)
+        tilt.append(dynamics_pass.torque(gravity_only=True) - still)
     model.opt.gravity[:] = gravity
     tip = TipLoad(xml, joints, motion)
     return Carried(
@@ -179,11 +179,11 @@ class _Pass:
     motion: tuple[FloatArray, FloatArray, FloatArray]
 
     def torque(self, *, gravity_only: bool = False) -> FloatArray:
-        found = np.empty_like(self.motion[0])
+        torque = np.empty_like(self.motion[0])
         result = np.empty(self.model.nv)
         data = self.data
         data.qvel[:], data.qacc[:] = 0.0, 0.0
-        for row in range(len(found)):
+        for row in range(len(torque)):
             data.qpos[self.positions] = self.motion[0][row]
             if not gravity_only:
                 data.qvel[self.dofs] = self.motion[1][row]
@@ -191,14 +191,14 @@ class _Pass:
             self._place()
             self.mujoco.mj_comVel(self.model, data)
             self.mujoco.mj_rne(self.model, data, 1, result)
-            found[row] = result[self.dofs]
-        return found
+            torque[row] = result[self.dofs]
+        return torque
 
     def inertia(self) -> FloatArray:
-        found = np.empty_like(self.motion[0])
+        inertia = np.empty_like(self.motion[0])
         full = np.empty((self.model.nv, self.model.nv))
         old = hasattr(self.data, "qM")
-        for row in range(len(found)):
+        for row in range(len(inertia)):
             self.data.qpos[self.positions] = self.motion[0][row]
             self._place()
             self.mujoco.mj_makeM(self.model, self.data) if hasattr(
@@ -208,8 +208,8 @@ class _Pass:
                 self.mujoco.mj_fullM(self.model, full, self.data.qM)
             else:
                 self.mujoco.mj_fullM(self.model, self.data, full)
-            found[row] = np.diag(full)[self.dofs]
-        return found
+            inertia[row] = np.diag(full)[self.dofs]
+        return inertia
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
         by_place, by_rate = np.empty_like(self.motion[0]), np.empty_like(self.motion[0])
@@ -299,7 +299,7 @@ def robot_terms(xml: str, joints: list[str]) -> RobotTerms:
         joint = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(model.actuator_trnid[k, 0])) or ""
         gear = float(model.actuator_gear[k, 0])
         low, high = (
-            (float(one) * abs(gear) for one in model.actuator_forcerange[k])
+            (float(limit) * abs(gear) for limit in model.actuator_forcerange[k])
             if model.actuator_forcelimited[k]
             else (-np.inf, np.inf)
         )

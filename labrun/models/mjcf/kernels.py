@@ -92,7 +92,7 @@ def call_forward(typing: Any, function: Any, model: Any, data: Any, skip_sensors
         byte, integer = ir.IntType(8).as_pointer(), ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [byte, byte, integer, integer])
         called = builder.inttoptr(arguments[0], kind.as_pointer())
-        pointers = [builder.inttoptr(one, byte) for one in arguments[1:3]]
+        pointers = [builder.inttoptr(argument, byte) for argument in arguments[1:3]]
         builder.call(called, [*pointers, ir.Constant(integer, 0), builder.trunc(arguments[3], integer)])
         return context.get_dummy_value()
 

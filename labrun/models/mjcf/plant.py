@@ -151,7 +151,7 @@ class MujocoPlant:
             # nothing can touch anything: not to look for it saves a sixth of the time
             self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._settings = layout.settings
-        self._loosen([place for _, place in layout.settings])
+        self._loosen([memory for _, memory in layout.settings])
         self._kept: list[NDArray[Any]] = []
         self._last = np.full(max(1, layout.values), np.nan)
         self._apply = ctypes.CFUNCTYPE(ctypes.c_int64)(self._set)
@@ -170,8 +170,8 @@ class MujocoPlant:
         """
         mujoco = imported()
         try:
-            for source, place in self._settings:
-                place.write(self.model, float(self._last[source]))
+            for source, memory in self._settings:
+                memory.write(self.model, float(self._last[source]))
             mujoco.mj_setConst(self.model, self.data)
         except (ValueError, mujoco.FatalError):
             return 0
@@ -190,7 +190,7 @@ class MujocoPlant:
         table = np.zeros(SIZE, dtype=np.int64)
 
         def addresses(places: Sequence[MemoryPlace | None]) -> int:
-            return array([0 if one is None else one.address(model, data) for one in places])
+            return array([0 if location is None else location.address(model, data) for location in places])
 
         def array(values: Any, kind: type = np.int64) -> int:
             self._kept.append(np.array(values, dtype=kind) if len(values) else np.zeros(1, dtype=kind))
@@ -210,13 +210,13 @@ class MujocoPlant:
         table[QUATERNIONS_COUNT] = len(layout.quaternions)
         table[QUATERNION_VELOCITIES] = addresses([spin for _, spin in layout.quaternions])
         table[INPUTS], table[INPUTS_COUNT] = addresses(layout.inputs), len(layout.inputs)
-        table[INPUTS_ADD] = array([int(one.array == "qfrc_applied") for one in layout.inputs])
+        table[INPUTS_ADD] = array([int(signal.array == "qfrc_applied") for signal in layout.inputs])
         table[SITES], table[SITES_COUNT] = addresses(layout.sites), len(layout.sites)
         table[VALUES_COUNT] = layout.values
         table[SCRATCH] = array([0.0] * layout.values, float)
         table[LAST] = self._last.ctypes.data
         table[OUTPUTS], table[OUTPUTS_COUNT] = addresses(layout.outputs), len(layout.outputs)
-        table[OUTPUTS_NEED_FORWARD] = any(one.array not in _SETTLED for one in layout.outputs)
+        table[OUTPUTS_NEED_FORWARD] = any(output.array not in _SETTLED for output in layout.outputs)
         return table
 
 
@@ -229,11 +229,11 @@ def _function(name: str) -> int:
 def _moved_bodies(model: Any, places: Sequence[MemoryPlace]) -> set[int]:
     """Return the bodies whose own frame or mass some of the places change."""
     widths = {"body_mass": 1, "body_inertia": 3, "body_ipos": 3, "body_pos": 3}
-    bodies = {one.index // widths[one.array] for one in places if one.array in widths}
-    geoms = {one.index // 3 for one in places if one.array == "geom_pos"}
-    sites = {one.index // 3 for one in places if one.array == "site_pos"}
-    bodies |= {int(model.geom_bodyid[one]) for one in geoms}
-    return bodies | {int(model.site_bodyid[one]) for one in sites}
+    bodies = {location.index // widths[location.array] for location in places if location.array in widths}
+    geoms = {location.index // 3 for location in places if location.array == "geom_pos"}
+    sites = {location.index // 3 for location in places if location.array == "site_pos"}
+    bodies |= {int(model.geom_bodyid[geom]) for geom in geoms}
+    return bodies | {int(model.site_bodyid[site]) for site in sites}
 
 
 def _hush() -> None:

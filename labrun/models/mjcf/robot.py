@@ -57,16 +57,16 @@ def _hint(path: Path, what: str, element: "re.Match[str] | None") -> str:
 
 def _attributes() -> dict[str, list[str]]:
     """Return the attributes of every element that MuJoCo knows."""
-    found: dict[str, list[str]] = {}
+    names: dict[str, list[str]] = {}
     last: list[str] = []
     for text in imported().mj_printSchema(False, False).splitlines():
-        begun = _SCHEMA_LINE.match(text)
-        if begun:
-            last = found.setdefault(begun[1].removeprefix("(world)"), [])
-            if begun[1].startswith("("):
-                found["worldbody"] = last
-        last += (begun[2] if begun else text).split()
-    return found
+        match = _SCHEMA_LINE.match(text)
+        if match:
+            last = names.setdefault(match[1].removeprefix("(world)"), [])
+            if match[1].startswith("("):
+                names["worldbody"] = last
+        last += (match[2] if match else text).split()
+    return names
 
 
 EDITS_ROBOTS = (4, 0)
@@ -208,7 +208,7 @@ def read_robot(
     driven = {actuator.target for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT}
     wanted: Mapping[str, Drive]
     if drives == "undriven":
-        wanted = {one.name: "position" for one in simple if one.name not in driven}
+        wanted = {joint.name: "position" for joint in simple if joint.name not in driven}
     else:
         wanted = drives or {}
     unknown = set(wanted) - {joint.name for joint in simple}
@@ -216,7 +216,7 @@ def read_robot(
         raise ModelError(f"{path} has no hinge or slide {', '.join(sorted(unknown))} that could be driven")
     added = _add_actuators(spec, model, wanted)
     for kind, words in (("position", "a position servo of unknown gains"), ("torque", "a torque")):
-        names = [name for name, one in wanted.items() if one == kind]
+        names = [name for name, wanted_kind in wanted.items() if wanted_kind == kind]
         if names:
             remarks.append(f"{', '.join(names)}: the file has no actuator there; {words} was added")
     _require_distinct(path, "joint", [joint.name for joint in simple])
@@ -237,7 +237,7 @@ def read_robot(
             body.name for body in spec.bodies[1:] if body.name and identifier(body.name) == body.name
         ),
         sensors={
-            kind: tuple(one.name for one in spec.sensors if one.name and one.type == type_)
+            kind: tuple(sensor.name for sensor in spec.sensors if sensor.name and sensor.type == type_)
             for kind, type_ in (
                 ("force", mujoco.mjtSensor.mjSENS_FORCE),
                 ("torque", mujoco.mjtSensor.mjSENS_TORQUE),
@@ -251,13 +251,13 @@ def _not_compared(others: list[Any]) -> list[str]:
     if not others:
         return []
     names = ", ".join(joint.name for joint in others)
-    said = [f"{names}: ball and free joints move, but have no site and are not compared with a log"]
+    messages = [f"{names}: ball and free joints move, but have no site and are not compared with a log"]
     if any(joint.type == imported().mjtJoint.mjJNT_FREE for joint in others):
-        said.append(
+        messages.append(
             "nothing holds its free base: with contacts switched off it falls; take the free joint out for a log of a "
             "robot whose base stood still"
         )
-    return said
+    return messages
 
 
 def mjcf_text(spec: Any) -> str:
@@ -289,10 +289,10 @@ def robot_spec(path: Path) -> tuple[Any, list[str]]:
     except ValueError as error:
         raise refusal(path, error) from None
     missing = sorted({_called(mesh) for mesh in spec.meshes if _is_missing(spec, path, "meshdir", mesh.file)})
-    pictures = [("texturedir", one) for one in spec.textures] + [
-        ("meshdir", one) for one in (*spec.hfields, *spec.skins)
+    pictures = [("texturedir", texture) for texture in spec.textures] + [
+        ("meshdir", hfield) for hfield in (*spec.hfields, *spec.skins)
     ]
-    if not missing and not any(_is_missing(spec, path, folder, one.file) for folder, one in pictures):
+    if not missing and not any(_is_missing(spec, path, folder, texture.file) for folder, texture in pictures):
         return spec, []
     remarks = _without_assets(spec, path, missing)
     if missing:
@@ -385,8 +385,8 @@ def _add_actuators(spec: Any, model: Any, drives: Mapping[str, Drive]) -> set[st
         if kind == "torque":
             actuator.set_to_motor()
             continue
-        joint, place = spec.joint(name), model.joint(name).dofadr[0]
-        inertia = float(full[place, place])
+        joint, index = spec.joint(name), model.joint(name).dofadr[0]
+        inertia = float(full[index, index])
         if not joint.armature:
             joint.armature = SERVO_ROTOR * inertia
             inertia += joint.armature
@@ -419,7 +419,9 @@ def _actuators(
     made = []
     for actuator in spec.actuators:
         on_joint = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
-        joint = next((one for one in joints if on_joint and one.name == actuator.target), None)
+        joint = next(
+            (candidate for candidate in joints if on_joint and candidate.name == actuator.target), None
+        )
         slides = joint is not None and joint.unit == "m"
         command = _command(mujoco, actuator)
         units: dict[Command, str] = {
@@ -428,11 +430,14 @@ def _actuators(
             "other": "1",
         }  # fmt: skip
         sole = (
-            sum(one.target == actuator.target and one.trntype == actuator.trntype for one in spec.actuators)
+            sum(
+                other.target == actuator.target and other.trntype == actuator.trntype
+                for other in spec.actuators
+            )
             == 1
         )
         stem = joint.output if joint is not None and sole else identifier(actuator.name)
-        if joint is None and any(stem == one.output for one in joints):
+        if joint is None and any(stem == candidate.output for candidate in joints):
             stem += f"_{_transmission(mujoco, actuator)}"
         input_ = _free(f"{stem}_{_SUFFIX[command]}", taken)
         taken.add(input_)

@@ -44,7 +44,7 @@ def around(xml: str, masses: Mapping[str, str]) -> tuple[list[str], dict[str, st
             f'{name} = {{ value = 0.0, tolerance = 0.0, unit = "rad", lower = -1.6, upper = 1.6 }}'
             for name in (ROLL, PITCH)
         ]
-        equations |= _gravity([float(one) for one in model.opt.gravity])
+        equations |= _gravity([float(component) for component in model.opt.gravity])
     for name, mass_of in masses.items():
         equations |= _in_proportion(model, name, mass_of)
     body = tip_body(model)
@@ -64,7 +64,7 @@ def around(xml: str, masses: Mapping[str, str]) -> tuple[list[str], dict[str, st
 
 def _gravity(down: list[float]) -> dict[str, str]:
     """Return gravity as a base sees it that is pitched about y, then rolled about x."""
-    x, y, z = (repr(one) for one in down)
+    x, y, z = (repr(component) for component in down)
     after = f"(sin({PITCH})*({x}) + cos({PITCH})*({z}))"
     return {
         "option.gravity[0]": f"cos({PITCH})*({x}) - sin({PITCH})*({z})",
@@ -76,7 +76,7 @@ def _gravity(down: list[float]) -> dict[str, str]:
 def _in_proportion(model: Any, name: str, mass: str) -> dict[str, str]:
     """Return the principal inertias of a body as its mass has them."""
     body = model.body(name)
-    ratios = [float(one) / float(body.mass[0]) for one in body.inertia]
+    ratios = [float(component) / float(body.mass[0]) for component in body.inertia]
     return {f"body.{name}.inertia[{axis}]": f"{ratio!r}*{mass}" for axis, ratio in enumerate(ratios) if ratio}
 
 
@@ -87,22 +87,24 @@ def _loaded(model: Any, body: int, name: str, mass: str) -> dict[str, str]:
     body's principal axes are left out: none arise where the line from its centre to the load lies on one of them.
     """
     mujoco = imported()
-    centre = [float(one) for one in model.body_ipos[body]]
+    centre = [float(component) for component in model.body_ipos[body]]
     turn = np.empty(9)
     mujoco.mju_quat2Mat(turn, model.body_iquat[body])
     to_principal = turn.reshape(3, 3).T
-    found = {f"body.{name}.mass": f"{mass} + {LOAD}"}
+    expressions = {f"body.{name}.mass": f"{mass} + {LOAD}"}
     share = f"{LOAD}/({mass} + {LOAD})"
-    away = [f"({place} - {at!r})" for place, at in zip(PLACE, centre, strict=True)]
+    away = [f"({coordinate} - {at!r})" for coordinate, at in zip(PLACE, centre, strict=True)]
     for axis in range(3):
-        found[f"body.{name}.ipos[{axis}]"] = f"{centre[axis]!r} + {away[axis]}*{share}"
-        along = [f"{float(part)!r}*{one}" for part, one in zip(to_principal[axis], away, strict=True) if part]
+        expressions[f"body.{name}.ipos[{axis}]"] = f"{centre[axis]!r} + {away[axis]}*{share}"
+        along = [
+            f"{float(part)!r}*{text}" for part, text in zip(to_principal[axis], away, strict=True) if part
+        ]
         own = float(model.body_inertia[body, axis] / model.body_mass[body])
-        squares = " + ".join(f"{one}^2" for one in away)
-        found[f"body.{name}.inertia[{axis}]"] = (
+        squares = " + ".join(f"{text}^2" for text in away)
+        expressions[f"body.{name}.inertia[{axis}]"] = (
             f"{own!r}*{mass} + ({squares} - ({' + '.join(along)})^2)*{mass}*{share}"
         )
-    return found
+    return expressions
 
 
 def heavy_bodies(xml: str) -> dict[str, float]:
@@ -163,10 +165,11 @@ def _lines(
         yield f'{joint.output}_rate = "joint.{joint.name}.velocity"'
     if robot.actuators:
         yield "[inputs]"
-    for one in robot.actuators:
-        between = "hold" if one.command in ("position", "velocity") else "linear"
-        yield f'{one.input} = {{ mjcf = "actuator.{one.name}", unit = "{one.unit}", between = "{between}" }}'
-    terms = robot_terms(robot.xml, [one.name for one in robot.joints])
+    for actuator in robot.actuators:
+        between = "hold" if actuator.command in ("position", "velocity") else "linear"
+        link = f'mjcf = "actuator.{actuator.name}", unit = "{actuator.unit}", between = "{between}"'
+        yield f"{actuator.input} = {{ {link} }}"
+    terms = robot_terms(robot.xml, [joint.name for joint in robot.joints])
     parameters, equations = around(
         robot.xml, {body: f"{stem}_mass" for body, stem in identifiers(heavy_bodies(robot.xml)).items()}
     )
@@ -179,7 +182,7 @@ def _lines(
     for reference, equation in equations.items():
         yield f'"{reference}" = "{equation}"'
     yield "[outputs]"
-    for joint in (one for one in robot.joints if one.output in measured):
+    for joint in (candidate for candidate in robot.joints if candidate.output in measured):
         yield f'{joint.output} = {{ mjcf = "joint.{joint.name}.position", unit = "{joint.unit}" }}'
     for name, (reference, unit) in shown.items():
         yield f'{name} = {{ mjcf = "{reference}", unit = "{unit}" }}'
@@ -202,7 +205,9 @@ def _lines(
 
 def _only_drive(robot: Robot, terms: RobotTerms, joint: str) -> JointDrive | None:
     """Return the drive of a joint; None where it has none, or several."""
-    return terms.drives.get(joint) if sum(one.joint == joint for one in robot.actuators) == 1 else None
+    return (
+        terms.drives.get(joint) if sum(actuator.joint == joint for actuator in robot.actuators) == 1 else None
+    )
 
 
 def _stems(robot: Robot) -> dict[str, str]:
@@ -214,22 +219,22 @@ def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
     """Return the equation of what a joint's drive puts on it: the load of effects in gear and drive; "" if unknown."""
     if drive is None:
         return ""
-    found = next(one for one in robot.actuators if one.joint == joint.name)
+    actuator = next(candidate for candidate in robot.actuators if candidate.joint == joint.name)
     braked = f" - {drive.kv!r}*{joint.output}_rate" if drive.kv else ""
     efforts = {
-        "torque": f"{drive.gear!r}*{found.input}",
-        "geared": f"{drive.gear!r}*{found.input}",
-        "position": f"{_stems(robot)[found.name]}_kp*({found.input} - {joint.output}){braked}",
+        "torque": f"{drive.gear!r}*{actuator.input}",
+        "geared": f"{drive.gear!r}*{actuator.input}",
+        "position": f"{_stems(robot)[actuator.name]}_kp*({actuator.input} - {joint.output}){braked}",
     }
-    effort = efforts.get(found.command, "")
+    effort = efforts.get(actuator.command, "")
     low, high = drive.limits
     return f"clip({effort}, {low!r}, {high!r})" if effort and np.isfinite([low, high]).all() else effort
 
 
 def _parameters(robot: Robot, terms: RobotTerms, set_elsewhere: Collection[str]) -> Iterator[str]:
-    names = [one.name for one in robot.joints]
+    names = [joint.name for joint in robot.joints]
     armature = dict(zip(names, terms.armature, strict=True))
-    added = {one.joint for one in robot.actuators if one.added}
+    added = {actuator.joint for actuator in robot.actuators if actuator.added}
     for joint in robot.joints:
         per = "N m s/rad" if joint.unit == "rad" else "N s/m"
         yield (
@@ -266,8 +271,8 @@ def _parameters(robot: Robot, terms: RobotTerms, set_elsewhere: Collection[str])
     masses = heavy_bodies(robot.xml)
     stems = identifiers(masses)
     for name, mass in masses.items():
-        place = f"body.{name}.mass"
-        value = f"value = {mass!r}" if place in set_elsewhere else f'mjcf = "{place}"'
+        text = f"body.{name}.mass"
+        value = f"value = {mass!r}" if text in set_elsewhere else f'mjcf = "{text}"'
         yield (
             f'{stems[name]}_mass = {{ {value}, tolerance = {_MASS_TOLERANCE}, unit = "kg", lower = 1e-6 }}'
         )

@@ -217,13 +217,13 @@ def flutter(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mec
 
 def detent(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
     """A catch at one place of the stroke: attraction within a narrow region."""
-    place, width = m.q * rng.uniform(0.2, 0.6) * rng.choice([-1, 1]), m.q * rng.uniform(0.08, 0.18)
+    position, width = m.q * rng.uniform(0.2, 0.6) * rng.choice([-1, 1]), m.q * rng.uniform(0.08, 0.18)
 
     def force(s: float, t: float, at: At) -> FloatArray:
-        away = (at.coordinate - place) / width
+        away = (at.coordinate - position) / width
         return np.asarray(-2.0 * s * m.force * away * np.exp(-(away**2)))
 
-    return _force("detent", site, kind, force, {"place": place, "width": width}, fastest=m.v / width)
+    return _force("detent", site, kind, force, {"place": position, "width": width}, fastest=m.v / width)
 
 
 def shaken_base(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
@@ -246,8 +246,8 @@ def slipping(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Me
         return np.full_like(at.rate, s * m.stiffness * m.q * float(moves[rounded <= t + 1e-12].sum()))
 
     return _force(
-        "slipping-clamp", site, kind, force, {f"slip_{index + 1}_s": float(one) for index, one in enumerate(rounded)},
-        jumps_s=tuple(float(one) for one in rounded),
+        "slipping-clamp", site, kind, force, {f"slip_{index + 1}_s": float(jump) for index, jump in enumerate(rounded)},
+        jumps_s=tuple(float(jump) for jump in rounded),
     )  # fmt: skip
 
 

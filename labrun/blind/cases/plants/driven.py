@@ -221,7 +221,7 @@ class FreeDecay(Plant):
 
     def start(self, conditions: Sequence[Mapping[str, float | str]]) -> FloatArray:
         start = np.zeros((2, len(conditions)))
-        start[0] = [one["release_rad"] for one in conditions]
+        start[0] = [condition["release_rad"] for condition in conditions]
         return start
 
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:

@@ -129,7 +129,7 @@ def releases(
     if np.all(angles > 0) or np.all(angles < 0):
         angles[::2] *= -1
     conditions: list[Condition] = [
-        {"release_deg": float(np.round(one, 2)), "release_rad": float(np.round(np.deg2rad(one), 5))}
-        for one in rng.permutation(angles)
+        {"release_deg": float(np.round(angle, 2)), "release_rad": float(np.round(np.deg2rad(angle), 5))}
+        for angle in rng.permutation(angles)
     ]
     return Programme(time_s, conditions, np.zeros((0, len(time_s), trials)))

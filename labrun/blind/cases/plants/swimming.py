@@ -64,8 +64,8 @@ class ServoFin(Plant):
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
         amplitude_deg = rng.uniform(15, 45)
         base = driven(rng, trials, time_base(rng), [np.deg2rad(amplitude_deg)], self.natural_hz * 0.45)
-        for one in base.conditions:
-            one["amplitude_deg"] = round(float(np.rad2deg(float(one.pop("amplitude")))), 3)
+        for condition in base.conditions:
+            condition["amplitude_deg"] = round(float(np.rad2deg(float(condition.pop("amplitude")))), 3)
         return base
 
 
@@ -144,7 +144,7 @@ class Swimmer(Plant):
             inputs[0, :, index] = beating
             conditions.append({"beat_hz": beat_hz, "amplitude_deg": amplitude_deg, "coast": float(coast)})
         order = rng.permutation(trials)
-        return Programme(time_s, [conditions[one] for one in order], round_inputs(inputs[:, :, order]))
+        return Programme(time_s, [conditions[trial] for trial in order], round_inputs(inputs[:, :, order]))
 
 
 class StaticFin(Plant):
@@ -186,7 +186,7 @@ class StaticFin(Plant):
         angle = base.inputs[0]
         rate = np.gradient(angle, time_s, axis=0)
         base.inputs = round_inputs(np.stack([angle, rate]))
-        for index, one in enumerate(base.conditions):
-            one["stream_m_s"] = (0.0, 0.25, 0.5)[index % 3]
-            one["amplitude_deg"] = round(float(np.rad2deg(float(one.pop("amplitude")))), 3)
+        for index, condition in enumerate(base.conditions):
+            condition["stream_m_s"] = (0.0, 0.25, 0.5)[index % 3]
+            condition["amplitude_deg"] = round(float(np.rad2deg(float(condition.pop("amplitude")))), 3)
         return base

@@ -52,11 +52,11 @@ class Body:
         """Return MJCF; `payload` in kg sits at the end of the first chain."""
         tip = max((k for k in range(len(self.links)) if self._first(k)), default=0)
         worldbody = "".join(
-            self._element(k, tip, payload) for k, one in enumerate(self.links) if one.parent < 0
+            self._element(k, tip, payload) for k, link in enumerate(self.links) if link.parent < 0
         )
         actuators = "".join(
-            f'<position name="{one.name}" joint="{one.name}" kp="{one.kp:.9g}" kv="{one.kv:.9g}"/>'
-            for one in self.links
+            f'<position name="{link.name}" joint="{link.name}" kp="{link.kp:.9g}" kv="{link.kv:.9g}"/>'
+            for link in self.links
         )
         return (
             f'<mujoco model="{self.name}"><option gravity="{gravity[0]:.9g} {gravity[1]:.9g} {gravity[2]:.9g}"/>'
@@ -70,8 +70,8 @@ class Body:
         return k == 0
 
     def _element(self, k: int, tip: int, payload: float) -> str:
-        one = self.links[k]
-        end = one.length_m if self.upright else -one.length_m
+        link = self.links[k]
+        end = link.length_m if self.upright else -link.length_m
         inner = "".join(
             self._element(j, tip, payload) for j, other in enumerate(self.links) if other.parent == k
         )
@@ -79,11 +79,12 @@ class Body:
             ball = f'<geom type="sphere" size="0.02" mass="{payload:.9g}"/>'
             inner += f'<body name="payload" pos="0 0 {end:.6g}">{ball}</body>'
         return (
-            f'<body name="{one.name}_link" pos="{one.at[0]:.6g} {one.at[1]:.6g} {one.at[2]:.6g}">'
-            f'<joint name="{one.name}" axis="{one.axis[0]} {one.axis[1]} {one.axis[2]}" damping="{one.damping:.9g}" '
-            f'armature="{one.armature:.9g}"/>'
-            f'<geom type="capsule" fromto="0 0 0 0.01 0.015 {end:.6g}" size="{one.radius_m:.6g}" '
-            f'mass="{one.mass:.9g}"/>'
+            f'<body name="{link.name}_link" pos="{link.at[0]:.6g} {link.at[1]:.6g} {link.at[2]:.6g}">'
+            f'<joint name="{link.name}" axis="{link.axis[0]} {link.axis[1]} {link.axis[2]}" '
+            f'damping="{link.damping:.9g}" '
+            f'armature="{link.armature:.9g}"/>'
+            f'<geom type="capsule" fromto="0 0 0 0.01 0.015 {end:.6g}" size="{link.radius_m:.6g}" '
+            f'mass="{link.mass:.9g}"/>'
             f"{inner}</body>"
         )
 
@@ -95,10 +96,10 @@ class Body:
 
         links = tuple(
             replace(
-                one, mass=off(one.mass, mass), kp=off(one.kp, gain), kv=off(one.kv, gain),
-                damping=one.damping * float(np.exp(0.3 * rng.standard_normal())),
+                link, mass=off(link.mass, mass), kp=off(link.kp, gain), kv=off(link.kv, gain),
+                damping=link.damping * float(np.exp(0.3 * rng.standard_normal())),
             )
-            for one in self.links
+            for link in self.links
         )  # fmt: skip
         return replace(self, links=links)
 
@@ -136,14 +137,14 @@ def draw(rng: np.random.Generator) -> Body:
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     sized = []
-    for one, link_inertia in zip(links, np.diag(full), strict=True):
+    for link, link_inertia in zip(links, np.diag(full), strict=True):
         armature = float(link_inertia * rng.uniform(0.3, 1.5)) + 1e-3 * size**4
         omega = 2.0 * np.pi * float(rng.uniform(*SERVO_HZ))
         inertia = float(link_inertia) + armature
         zeta = float(rng.uniform(*SERVO_DAMPING))
         sized.append(
             replace(
-                one, armature=armature, kp=inertia * omega**2, kv=2 * zeta * inertia * omega,
+                link, armature=armature, kp=inertia * omega**2, kv=2 * zeta * inertia * omega,
                 damping=0.1 * inertia * omega,
             )
         )  # fmt: skip

@@ -58,11 +58,11 @@ def run(
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     # every drive is computed here, at every half of a step
     model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1:3] = 0.0, 0.0
-    kp = np.array([one.kp for one in body.links])
-    kv = np.array([one.kv for one in body.links])
-    for place, joint in drives.items():
+    kp = np.array([link.kp for link in body.links])
+    kv = np.array([link.kv for link in body.links])
+    for name, joint in drives.items():
         if joint.two_masses:
-            model.dof_armature[place] = 1e-3 * joint.armature
+            model.dof_armature[name] = 1e-3 * joint.armature
     data = mujoco.MjData(model)
     weighed = any("gravity-compensation" in joint.sizes for joint in drives.values())
     moved = (
@@ -79,13 +79,13 @@ def run(
             data.qpos[:], data.qvel[:] = q, 0.0
             mujoco.mj_forward(model, data)
             weight = data.qfrc_bias.copy()
-        for place, joint in drives.items():
-            known = weight[place] if "gravity-compensation" in joint.sizes else planned[place]
-            torque[place] = joint.torque(time_s, goal[place], q[place], rate[place], known)
+        for name, joint in drives.items():
+            known = weight[name] if "gravity-compensation" in joint.sizes else planned[name]
+            torque[name] = joint.torque(time_s, goal[name], q[name], rate[name], known)
         data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q, rate, torque
         mujoco.mj_forward(model, data)
-        found: FloatArray = data.qacc.copy()
-        return found
+        measured: FloatArray = data.qacc.copy()
+        return measured
 
     every = round(SAMPLE_S / STEP_S)
     angles, speeds, torques = (np.zeros_like(goal) for _ in range(3))
@@ -93,7 +93,7 @@ def run(
     for row, held in enumerate(goal):
         for step in range(every):
             time_s = (row * every + step) * STEP_S
-            shown = {place: joint.measured(float(q[place])) for place, joint in drives.items()}
+            shown = {name: joint.measured(float(q[name])) for name, joint in drives.items()}
             pushed = accelerations(time_s, held, q, rate)
             if step == 0:
                 angles[row], speeds[row], torques[row] = q, rate, data.qfrc_applied
@@ -160,10 +160,10 @@ def _made(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, str]]:
     around = {"gravity": whole.get("gravity", (0.0, 0.0, -9.81)), "payload": whole.get("payload", 0.0)}
     course = run(built, goal, _drives(hidden), **around)[0] if hidden or whole else plain
     gaps = {}
-    for place in hidden:
-        others = {one: joint for one, joint in hidden.items() if one != place}
+    for index in hidden:
+        others = {name: joint for name, joint in hidden.items() if name != index}
         without = run(built, goal, _drives(others))[0] if others else plain
-        gaps[place] = _gap(built, goal, plain, course[:, place] - without[:, place], place)
+        gaps[index] = _gap(built, goal, plain, course[:, index] - without[:, index], index)
     noise = float(np.exp(rng.uniform(np.log(2e-5), np.log(5e-4))))
     if gaps:
         aim = float(np.exp(rng.uniform(*np.log(GAP))))
@@ -173,12 +173,12 @@ def _made(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, str]]:
         "robot": stated.name, "joints": len(stated.links), "noise_rad": noise,
         "hidden": [
             {
-                "joint": stated.links[place].name, "effect": next(iter(joint.sizes)),
-                "size": next(iter(joint.sizes.values())), "gap": gaps[place] / noise,
+                "joint": stated.links[name].name, "effect": next(iter(joint.sizes)),
+                "size": next(iter(joint.sizes.values())), "gap": gaps[name] / noise,
             }
-            for place, joint in hidden.items()
+            for name, joint in hidden.items()
         ],
-        "whole": {name: list(one) if isinstance(one, tuple) else one for name, one in whole.items()},
+        "whole": {name: list(value) if isinstance(value, tuple) else value for name, value in whole.items()},
     }  # fmt: skip
     return answer, {"robot.xml": stated.xml(), **_recording(stated, goal, measured)}
 
@@ -193,26 +193,26 @@ def _hidden(
         if rng.random() < 0.5:
             roll, pitch = rng.uniform(0.03, 0.1, 2) * rng.choice([-1, 1], 2)
             down = np.array([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)])
-            return {}, {"gravity": tuple(float(one) for one in 9.81 * down)}
+            return {}, {"gravity": tuple(float(value) for value in 9.81 * down)}
         return {}, {"payload": float(rng.uniform(0.3, 1.0)) * body.links[len(body.links) // 2].mass}
     count = min(int(rng.integers(1, 4)), len(body.links))
-    found = {}
-    for place in sorted(int(one) for one in rng.choice(len(body.links), count, replace=False)):
+    payloads = {}
+    for index in sorted(int(link) for link in rng.choice(len(body.links), count, replace=False)):
         effect = EFFECTS[int(rng.integers(len(EFFECTS)))]
-        torque = float(np.percentile(np.abs(torques[:, place]), 95))
-        travel = float(np.percentile(np.abs(plain[:, place]), 95))
-        rate = float(np.percentile(np.abs(speeds[:, place]), 99))
-        link = body.links[place]
-        found[place] = Joint(
+        torque = float(np.percentile(np.abs(torques[:, index]), 95))
+        travel = float(np.percentile(np.abs(plain[:, index]), 95))
+        rate = float(np.percentile(np.abs(speeds[:, index]), 99))
+        link = body.links[index]
+        payloads[index] = Joint(
             link.kp, link.kv, link.armature, 0.5 * STEP_S, rate,
             {effect: draw_size(effect, rng, torque, travel, rate)}, draw_shape(rng),
         )  # fmt: skip
-    return found, {}
+    return payloads, {}
 
 
 def _drives(hidden: dict[int, Joint]) -> dict[int, Joint]:
     return {
-        place: replace(
+        name: replace(
             joint,
             _late={},
             _motor=None,
@@ -223,20 +223,20 @@ def _drives(hidden: dict[int, Joint]) -> dict[int, Joint]:
             _sum_middle=None,
             _profile=None,
         )
-        for place, joint in hidden.items()
+        for name, joint in hidden.items()
     }
 
 
-def _gap(body: Body, goal: FloatArray, plain: FloatArray, left: FloatArray, place: int) -> float:
+def _gap(body: Body, goal: FloatArray, plain: FloatArray, left: FloatArray, joint_index: int) -> float:
     """Return what is left of the change of a joint by its own effect once its servo and mass were adapted, rad."""
-    link = body.links[place]
+    link = body.links[joint_index]
     changed = []
     for other in (
         replace(link, kp=1.02 * link.kp), replace(link, damping=1.2 * link.damping),
         replace(link, mass=1.03 * link.mass),
     ):  # fmt: skip
-        links = tuple(other if k == place else one for k, one in enumerate(body.links))
-        changed.append(run(replace(body, links=links), goal, {})[0][:, place] - plain[:, place])
+        links = tuple(other if k == joint_index else link for k, link in enumerate(body.links))
+        changed.append(run(replace(body, links=links), goal, {})[0][:, joint_index] - plain[:, joint_index])
     by = np.column_stack(changed)
     left = left - by @ np.linalg.lstsq(by, left, rcond=None)[0]
     return float(np.sqrt(np.mean(left**2)))
@@ -244,7 +244,7 @@ def _gap(body: Body, goal: FloatArray, plain: FloatArray, left: FloatArray, plac
 
 def _recording(body: Body, goal: FloatArray, measured: FloatArray) -> dict[str, str]:
     """Return a recording, a file a motion; each begins half a rest before its first goal, but for the first."""
-    names = [one.name for one in body.links]
+    names = [link.name for link in body.links]
     lines = ['experiment = "robot"']
     for name in names:
         lines += [f"[channels.{name}_command]", 'kind = "input"', 'unit = "rad"', 'between = "hold"']
@@ -258,6 +258,8 @@ def _recording(body: Body, goal: FloatArray, measured: FloatArray) -> dict[str, 
         time_s = SAMPLE_S * np.arange(len(goal[rows]))
         table = np.column_stack([time_s, goal[rows], measured[rows]])
         file = f"{number + 1:03d}.csv"
-        files[file] = header + "\n" + "".join(",".join(f"{one:.9g}" for one in row) + "\n" for row in table)
+        files[file] = (
+            header + "\n" + "".join(",".join(f"{value:.9g}" for value in row) + "\n" for row in table)
+        )
         lines += ["[[trials]]", f'file = "{file}"', f'condition = {{ motion = "m{number + 1}" }}']
     return {**files, "recording.toml": "\n".join(lines) + "\n"}

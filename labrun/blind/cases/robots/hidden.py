@@ -130,15 +130,15 @@ class Joint:
 
     def _profiled(self, goal: float, top: float) -> float:
         """Return the drive's own set-point, and move it on: as fast as it may, braking in time to rest at the goal."""
-        place, speed = self._profile or (goal, 0.0)
-        now, h = place, self.dt / _PROFILE_STEPS
+        position, speed = self._profile or (goal, 0.0)
+        now, h = position, self.dt / _PROFILE_STEPS
         slope = top / self.shape["ramp_s"]
         for _ in range(_PROFILE_STEPS):
-            ahead = goal - place
+            ahead = goal - position
             wanted = math.copysign(min(math.sqrt(2.0 * slope * abs(ahead)), top), ahead)
             before, speed = speed, speed + min(max(wanted - speed, -slope * h), slope * h)
-            place += 0.5 * h * (before + speed)
-        self._profile = (place, speed)
+            position += 0.5 * h * (before + speed)
+        self._profile = (position, speed)
         return now
 
     def _elastic(self, goal: float, q: float, rate: float) -> float:
