@@ -1,7 +1,7 @@
 """A robot from an MJCF or URDF file alone: what drives it, what is measured, and a site at every joint."""
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -219,7 +219,6 @@ def read_robot(
         names = [name for name, wanted_kind in wanted.items() if wanted_kind == kind]
         if names:
             remarks.append(f"{', '.join(names)}: the file has no actuator there; {words} was added")
-    _require_distinct(path, "joint", [joint.name for joint in simple])
     model = _compile(spec, path)
     if model.neq:
         kept = "1 equality constraint is" if model.neq == 1 else f"{model.neq} equality constraints are"
@@ -404,8 +403,9 @@ def _joints(mujoco: Any, joints: Collection[Any], model: Any) -> tuple[RobotJoin
         ends = tuple(float(end) for end in model.jnt_range[number]) if model.jnt_limited[number] else None
         unit = "rad" if joint.type == mujoco.mjtJoint.mjJNT_HINGE else "m"
         sprung = bool(np.any(model.jnt_stiffness[number]))
-        # the rate of a joint is a state as well
+        # The rate of a joint is a state as well, of the joints before and of this joint.
         taken = {*outputs, *(f"{output}_rate" for output in outputs)}
+        taken |= {output.removesuffix("_rate") for output in outputs if output.endswith("_rate")}
         output = _free(identifier(joint.name), taken)
         outputs.append(output)
         made.append(RobotJoint(joint.name, output, unit, ends, sprung))  # type: ignore[arg-type]
@@ -504,18 +504,6 @@ def _command(mujoco: Any, actuator: Any) -> Command:
     if bias[1] == 0.0 and np.isclose(bias[2], -gain[0]) and gain[0] != 0.0:
         return "velocity"
     return "other"
-
-
-def _require_distinct(path: Path, what: str, names: Sequence[str]) -> None:
-    """Raise ModelError where two names are the same once equations can use them."""
-    taken: dict[str, str] = {}
-    for name in names:
-        other = taken.setdefault(identifier(name), name)
-        if other != name:
-            raise ModelError(
-                f"{path}: {what}s {other!r} and {name!r} are both {identifier(name)} in equations and channels",
-                hint="rename one of them: letters without accents, digits and _ tell names apart",
-            )
 
 
 def identifier(name: str) -> str:
