@@ -21,7 +21,7 @@ from labrun.learned import Network, SlidingAffine
 _READY_S = 30.0
 _IDLE_S = 2e-4
 _RING = 1 << 14
-"""Samples that fit between loop and learner: 16 s at a kilohertz."""
+"""Samples that fit between loop and learner: 100 s at 160 a second."""
 _HEAD = 8
 _GIVEN, _STOP, _VERSION, _READY = range(4)
 _SLOT_HEAD = 3
