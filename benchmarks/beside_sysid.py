@@ -75,14 +75,15 @@ def by_labrun(motions: list[tuple[np.ndarray, np.ndarray]]) -> tuple[RobotDiagno
         robot, model = read_robot(file), load_model(file)
     time_s = np.arange(SAMPLES) * SAMPLE_S
     trials = tuple(
-        FitTrial(f"motion {k}", {"motion": f"m{k}"}, 1, time_s, *one) for k, one in enumerate(motions[:SEEN])
+        FitTrial(f"motion {k}", {"motion": f"m{k}"}, 1, time_s, *motion)
+        for k, motion in enumerate(motions[:SEEN])
     )
-    inputs = tuple(SignalInfo(one.name, one.unit, "hold") for one in model.inputs)
-    outputs = tuple(SignalInfo(one.name, one.unit) for one in model.outputs)
+    inputs = tuple(SignalInfo(signal.name, signal.unit, "hold") for signal in model.inputs)
+    outputs = tuple(SignalInfo(output.name, output.unit) for output in model.outputs)
     dataset = Dataset("arm", Path("arm"), "recording", inputs, outputs, trials)
-    found = diagnose_robot(robot, model, dataset, Options(workers=cores()))
-    corrected = model.with_values(found.values).with_effects(found.effects)
-    columns = [[one.name for one in model.outputs].index(name) for name in JOINTS]
+    diagnosis = diagnose_robot(robot, model, dataset, Options(workers=cores()))
+    corrected = model.with_values(diagnosis.values).with_effects(diagnosis.effects)
+    columns = [[output.name for output in model.outputs].index(name) for name in JOINTS]
     left = []
     for goals, angles in motions[SEEN:]:
         begin = np.array(
@@ -90,7 +91,7 @@ def by_labrun(motions: list[tuple[np.ndarray, np.ndarray]]) -> tuple[RobotDiagno
         )
         made = simulate(corrected, time_s, goals, initial_state=begin, substeps=4)
         left.append(made.outputs[:, columns] - angles)
-    return found, float(np.sqrt(np.mean(np.square(left))))
+    return diagnosis, float(np.sqrt(np.mean(np.square(left))))
 
 
 def by_sysid(
@@ -156,7 +157,7 @@ def _since(began: tuple[float, float]) -> str:
 def _clocks() -> tuple[float, float]:
     """Return seconds on the wall, and of processors with those of processes that have ended."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return time.perf_counter(), sum(one.ru_utime + one.ru_stime for one in used)
+    return time.perf_counter(), sum(getrusage.ru_utime + getrusage.ru_stime for getrusage in used)
 
 
 if __name__ == "__main__":
@@ -164,13 +165,15 @@ if __name__ == "__main__":
     for friction in (False, True):
         began = _clocks()
         values, error = by_sysid(log, friction=friction)
-        told = ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+        message = ", ".join(f"{name} {value:.4g}" for name, value in values.items())
         print(f"mujoco.sysid{' with frictionloss' if friction else '':<18} {1e3 * error:.3f} mrad"
-              f"  {_since(began)}  {told}")  # fmt: skip
+              f"  {_since(began)}  {message}")  # fmt: skip
     began = _clocks()
     answer, error = by_labrun(log)
-    for one in answer.joints:
-        steps = " > ".join(f"{1e3 * error:.3f}" for error in (one.stated, one.recalibrated, one.corrected))
-        print(f"  {one.joint.name}, motions that were seen: {steps} mrad")
+    for joint in answer.joints:
+        steps = " > ".join(
+            f"{1e3 * error:.3f}" for error in (joint.stated, joint.recalibrated, joint.corrected)
+        )
+        print(f"  {joint.joint.name}, motions that were seen: {steps} mrad")
     print(f"labrun{'':<24} {1e3 * error:.3f} mrad  {_since(began)}  {answer.sentence}")
     print(f"noise of the encoders {1e3 * NOISE_RAD:.3f} mrad")

@@ -31,13 +31,13 @@ REPEATS = 5
 
 
 def median_us(call, count):
-    found = []
+    results = []
     for _ in range(REPEATS):
         begin = time.process_time()
         for number in range(count):
             call(number)
-        found.append(1e6 * (time.process_time() - begin) / count)
-    return statistics.median(found)
+        results.append(1e6 * (time.process_time() - begin) / count)
+    return statistics.median(results)
 
 
 CONDITION = 'track.conditions=[{controller="mlp-ik", history_s=3.125, load_g=0, load_from_s=0}]'

@@ -89,10 +89,10 @@ def by_cmaes(problem: Problem, z: np.ndarray, candidate: Candidate) -> float:
     low = np.where(np.isfinite(added.priors.lower), added.priors.lower, -10.0)
     high = np.where(np.isfinite(added.priors.upper), added.priors.upper, 10.0)
     settings = {"seed": 1, "verbose": -9, "maxfevals": EVALUATIONS, "bounds": [low, high]}
-    found = cma.fmin2(
+    fmin2 = cma.fmin2(
         lambda x: added.squares(np.concatenate([x, own])), np.clip(start, low, high), 0.1, settings
     )
-    return float(found[1].result.fbest)
+    return float(fmin2[1].result.fbest)
 
 
 def main() -> None:
@@ -116,9 +116,16 @@ def main() -> None:
         print(f"diagnosis with the full guard: {time.perf_counter() - began:.1f} s")
     recalibration = recalibrate(model, averaged(dataset, model), np.random.default_rng(0), lambda _: None)
     scales = site_scales(recalibration.problem, recalibration.z)
-    known = [one for one in candidates(recalibration.problem.model, scales) if one.name.effect in FRICTION]
+    known = [
+        candidate
+        for candidate in candidates(recalibration.problem.model, scales)
+        if candidate.name.effect in FRICTION
+    ]
     began = time.perf_counter()
-    ends = {one.name.effect: by_cmaes(recalibration.problem, recalibration.z, one) for one in known}
+    ends = {
+        candidate.name.effect: by_cmaes(recalibration.problem, recalibration.z, candidate)
+        for candidate in known
+    }
     took = time.perf_counter() - began
     best = min(ends, key=ends.__getitem__)
     print(

@@ -46,10 +46,10 @@ def main() -> None:
         _timed(["sweep", "fin-params", "--dry-run", "--seed", "1", "--limit", "1"], folder)  # compiles, once
         for _ in range(repeats):
             out, wall, cpu = _timed(["sweep", "fin-params", "--dry-run", "--seed", "1", "--json"], folder)
-            found = json.loads(out)
-            shown, _, _ = _timed(["show", str(folder / found["run"]), "--json"], folder)
+            loads = json.loads(out)
+            shown, _, _ = _timed(["show", str(folder / loads["run"]), "--json"], folder)
             bench = json.loads(shown)["bench_time_s"]
-            trials = sum(found["trials"].values())
+            trials = sum(loads["trials"].values())
             rows.append((bench / wall, [f"{wall:.1f}", f"{1e3 * wall / trials:.1f}", f"{bench / wall:.0f}",
                          f"{cpu:.1f}", f"{1e3 * cpu / trials:.1f}", f"{bench / cpu:.0f}"]))  # fmt: skip
     print(machine("labrun", "numpy", "h5py", "numba"))

@@ -73,16 +73,16 @@ class Case:
     fit: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _tensile(told: Mapping[str, Any]) -> Truth:  # noqa: ARG001
+def _tensile(message: Mapping[str, Any]) -> Truth:  # noqa: ARG001
     return {"young": 1e-6 * YOUNG_PA, "yield_stress": 1e-6 * YIELD_PA, "toe_strain": 0.25}
 
 
-def _two_layups(told: Mapping[str, Any]) -> Truth:
-    own = {f"{name}_{layup}": value for layup in LAYUPS for name, value in _tensile(told).items()}
+def _two_layups(message: Mapping[str, Any]) -> Truth:
+    own = {f"{name}_{layup}": value for layup in LAYUPS for name, value in _tensile(message).items()}
     return own | {f"fracture_load_{layup}": one.breaks_n for layup, one in LAYUPS.items()}
 
 
-def _beam(told: Mapping[str, Any]) -> Truth:  # noqa: ARG001
+def _beam(message: Mapping[str, Any]) -> Truth:  # noqa: ARG001
     limit, stiff = LIMITS_N_M["long"][0], STIFFNESS_N_M["long"]
     return {
         "stiffness": stiff,
@@ -92,15 +92,15 @@ def _beam(told: Mapping[str, Any]) -> Truth:  # noqa: ARG001
     }
 
 
-def _limits(told: Mapping[str, Any]) -> Truth:  # noqa: ARG001
-    return {f"{sense}_limit": LIMITS_N_M["long"][place] for place, sense in enumerate(("equal", "opposite"))}
+def _limits(message: Mapping[str, Any]) -> Truth:  # noqa: ARG001
+    return {f"{sense}_limit": LIMITS_N_M["long"][index] for index, sense in enumerate(("equal", "opposite"))}
 
 
-def _hinge(told: Mapping[str, Any]) -> Truth:
-    return {"stiffness": told["parameters"]["stiffness"]}
+def _hinge(message: Mapping[str, Any]) -> Truth:
+    return {"stiffness": message["parameters"]["stiffness"]}
 
 
-def _hinge_tests(told: Mapping[str, Any]) -> Truth:  # noqa: ARG001
+def _hinge_tests(message: Mapping[str, Any]) -> Truth:  # noqa: ARG001
     return {"stiffness": 0.0686, "damping": 2.886e-4}
 
 
@@ -112,30 +112,30 @@ def _map(name: str, size_mm: Sequence[float], asked: Callable[[float], float]) -
     return {f"{quantity}_{letter}2": square, f"{quantity}_{letter}": linear, f"{quantity}_0": constant}
 
 
-def _width_map(told: Mapping[str, Any]) -> Truth:  # noqa: ARG001
+def _width_map(message: Mapping[str, Any]) -> Truth:  # noqa: ARG001
     sizes = (20, 30, 40, 50, 60)
     return _map("k_w", sizes, lambda w: stiffness(w, 1.75e-3)) | _map(
         "b_w", sizes, lambda w: damping(43e-4, w, 1.75e-3)
     )
 
 
-def _length_map(told: Mapping[str, Any]) -> Truth:  # noqa: ARG001
+def _length_map(message: Mapping[str, Any]) -> Truth:  # noqa: ARG001
     sizes = (1, 1.75, 2.5, 3.25, 4)
     return _map("k_l", sizes, lambda length: stiffness(50e-3, length)) | _map(
         "b_l", sizes, lambda length: damping(43e-4, 50e-3, length)
     )
 
 
-def _area_map(told: Mapping[str, Any]) -> Truth:  # noqa: ARG001
+def _area_map(message: Mapping[str, Any]) -> Truth:  # noqa: ARG001
     areas = 1e-4 * np.array([20.0, 40.0, 60.0, 80.0])
     square, linear, constant = np.polyfit(areas, [damping(area, 50e-3, 1.75e-3) for area in areas], 2)
     return {"b_a2": square, "b_a": linear, "b_0": constant}
 
 
-def _six_bar(told: Mapping[str, Any]) -> Truth:
+def _six_bar(message: Mapping[str, Any]) -> Truth:
     """Return where the linkage with the springs of this setup hangs at rest, from a long simulation of it."""
     model = load_model("six-bar")
-    values = {name: told["parameters"][name] for name in ("stiffness", "damping")}
+    values = {name: message["parameters"][name] for name in ("stiffness", "damping")}
     slow = values | {"damping": 20.0 * values["damping"]}
     time_s = np.linspace(0.0, 60.0, 1201)
     outputs = simulate(model, time_s, np.empty((len(time_s), 0)), parameters=slow).outputs[-1]
@@ -143,14 +143,14 @@ def _six_bar(told: Mapping[str, Any]) -> Truth:
     return {f"rest_{joint}": float(angle) for joint, angle in rest.items() if joint.startswith("theta_")}
 
 
-def _steps(told: Mapping[str, Any]) -> Truth:  # noqa: ARG001
+def _steps(message: Mapping[str, Any]) -> Truth:  # noqa: ARG001
     return {
         "magnitude_gain": 0.00912, "magnitude_lag": 0.34, "magnitude_dead_time": 0.28,
         "angle_gain": -0.866, "angle_lag": 0.13, "angle_dead_time": 0.12,
     }  # fmt: skip
 
 
-def _lives(told: Mapping[str, Any]) -> Truth:  # noqa: ARG001
+def _lives(message: Mapping[str, Any]) -> Truth:  # noqa: ARG001
     return {"median_polyester_120": MEDIANS["polyester", 120], "shape_polyester_120": SHAPE}
 
 
@@ -221,20 +221,20 @@ def once(
     overrides = [*case.overrides, *more]
     with recorded(case.scene) as scenes:
         run = labrun.run(name, dry_run=True, seed=seed, overrides=overrides, results=folder).run
-        told = scenes[-1].truth() if scenes else {}
-    return labrun.fit(run, results=folder, starts=case.starts), told
+        truth = scenes[-1].truth() if scenes else {}
+    return labrun.fit(run, results=folder, starts=case.starts), truth
 
 
 def measured(name: str, case: Case, seed: int, folder: Path, twin: Truth) -> list[dict[str, Any]]:
     """Return a row for each parameter of one seed: truth, estimate and interval."""
-    fit, told = once(name, case, seed, folder)
-    truth = twin or case.truth(told)
+    fit, message = once(name, case, seed, folder)
+    truth = twin or case.truth(message)
     return [
         {
             "experiment": name, "seed": seed, "parameter": parameter, "truth": float(truth[parameter]),
-            "value": float(one.value), "low": float(one.ci95[0]), "high": float(one.ci95[1]), "unit": one.unit,
+            "value": float(other.value), "low": float(other.ci95[0]), "high": float(other.ci95[1]), "unit": other.unit,
         }
-        for parameter, one in fit.parameters.items()
+        for parameter, other in fit.parameters.items()
         if parameter in truth
     ]  # fmt: skip
 
@@ -299,14 +299,14 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 if case.twin and not twin:
                     fit, _ = once(name, case, 0, Path(folder), case.twin)
-                    twin = {key: one.value for key, one in fit.parameters.items()}
+                    twin = {key: parameter.value for key, parameter in fit.parameters.items()}
                 begin = time.monotonic()
-                found = measured(name, case, seed, Path(folder), twin)
-            rows += found
+                result = measured(name, case, seed, Path(folder), twin)
+            rows += result
             print(f"{name}, seed {seed}: {time.monotonic() - begin:.0f} s", flush=True)
             if given.store:
                 with given.store.open("a") as file:
-                    file.writelines(json.dumps(row) + "\n" for row in found)
+                    file.writelines(json.dumps(row) + "\n" for row in result)
     text = table(rows)
     print(text)
     if given.table:

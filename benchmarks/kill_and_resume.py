@@ -49,8 +49,8 @@ _LABRUN = (sys.executable, "-m", "labrun")
 
 def run_of(folder: Path) -> Path | None:
     """Return the folder of the one run there is; None as long as there is none."""
-    found = list(folder.glob("results/*/*/spec.toml"))
-    return found[0].parent if found else None
+    result = list(folder.glob("results/*/*/spec.toml"))
+    return result[0].parent if result else None
 
 
 def stored(run: Path | None) -> dict[str, bytes]:
@@ -95,8 +95,8 @@ def finish(command: list[str], folder: Path) -> dict[str, Any]:
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise SystemExit(f"{command} failed: {done.stderr}")
-    found: dict[str, Any] = json.loads(done.stdout)
-    return {key: found[key] for key in ("trials", "best") if key in found}
+    loads: dict[str, Any] = json.loads(done.stdout)
+    return {key: loads[key] for key in ("trials", "best") if key in loads}
 
 
 def check(kind: str, kills: int, folder: Path, rng: np.random.Generator) -> list[str]:

@@ -216,8 +216,8 @@ class Recording:
             trial.inputs[0]
         )
         start = self.model.initial_state(trial.condition, first=first)
-        for place, state in enumerate(self.free):
-            shift = x[count + index * len(self.free) + place]
+        for position, state in enumerate(self.free):
+            shift = x[count + index * len(self.free) + position]
             start[self.model.states.index(state)] += 0.1 * self.sigma[0] * shift
         return simulate(
             self.model,
@@ -256,15 +256,15 @@ class Recording:
         """Return d residuals / d x by forward differences; initial states of one condition touch its rows only."""
         base = self.residuals(x, candidate, size)
         columns = np.zeros((len(base), len(x)))
-        for place in range(len(self.names)):
+        for index in range(len(self.names)):
             moved = x.copy()
-            moved[place] += step
-            columns[:, place] = (self.residuals(moved, candidate, size) - base) / step
-        for place in range(len(self.free)):
+            moved[index] += step
+            columns[:, index] = (self.residuals(moved, candidate, size) - base) / step
+        for position in range(len(self.free)):
             row = 0
             for index, trial in enumerate(self.trials):
                 rows = slice(row, row := row + trial.outputs.size)
-                column = len(self.names) + index * len(self.free) + place
+                column = len(self.names) + index * len(self.free) + position
                 moved = x.copy()
                 moved[column] += step
                 columns[rows, column] = (self.residuals_of(index, moved, candidate, size) - base[rows]) / step
@@ -391,12 +391,12 @@ def diagnosed(folder: Path) -> dict:
     if best.bic >= plain.bic:
         return {"gap": False, "causes": []}
     rivals = [fit.candidate for fit in fits if fit is not best and fit.bic < best.bic + RIVAL]
-    found = cause(recording, best, slopes)
-    found["rivals"] = [{"effect": rival.parameter or rival.effect, "site": rival.site} for rival in rivals]
+    result = cause(recording, best, slopes)
+    result["rivals"] = [{"effect": rival.parameter or rival.effect, "site": rival.site} for rival in rivals]
     if recording.noise is None or excess(recording, plain) == 0.0:
-        return {"gap": True, "causes": [found]}
+        return {"gap": True, "causes": [result]}
     rest = min(excess(recording, best) / excess(recording, plain), 1.0)
-    return {"gap": True, "causes": [{**found, "closes": 1.0 - rest}], "rest": rest}
+    return {"gap": True, "causes": [{**result, "closes": 1.0 - rest}], "rest": rest}
 
 
 def _name(effect: str, site: str) -> str:

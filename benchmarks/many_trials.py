@@ -78,8 +78,8 @@ def course(
         return [x[1], float(drive - 0.03 * x[1] - friction - 0.35 * np.sin(x[0])) / 0.012]
 
     span = (float(time_s[0]), float(time_s[-1]))
-    found = solve_ivp(slope, span, [0.0, 0.0], "LSODA", time_s, rtol=1e-7, atol=1e-9, max_step=0.01)
-    return np.asarray(goal(time_s)), found.y[0]
+    solution = solve_ivp(slope, span, [0.0, 0.0], "LSODA", time_s, rtol=1e-7, atol=1e-9, max_step=0.01)
+    return np.asarray(goal(time_s)), solution.y[0]
 
 
 def main() -> None:
@@ -93,11 +93,11 @@ def main() -> None:
     seconds = []
     for dataset in (few, many):
         began, processor = time.perf_counter(), time.process_time()
-        found = diagnose_dataset(dataset, model, options)
+        diagnosis = diagnose_dataset(dataset, model, options)
         seconds.append(time.perf_counter() - began)
         spent = time.process_time() - processor
         print(
-            f"{len(dataset.trials)} trials: {seconds[-1]:.1f} s, {spent:.1f} s of processor time: {found.sentence}"
+            f"{len(dataset.trials)} trials: {seconds[-1]:.1f} s, {spent:.1f} s of processor time: {diagnosis.sentence}"
         )
     print(
         f"{len(many.trials) / len(few.trials):.0f} times the trials take {seconds[1] / seconds[0]:.1f} times as long"

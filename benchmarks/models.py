@@ -94,7 +94,7 @@ def driven(y, t, time_s, torque, inertia, gravity, stiffness, damping):  # type:
 def cases() -> list[Case]:
     hinge = load_model(ROOT / "experiments/models/hinge-pendulum.toml")
     pendulum = parse_model(DRIVEN, "driven-pendulum.toml")
-    values = [tuple(float(one.value) for one in model.parameters) for model in (hinge, pendulum)]
+    values = [tuple(float(parameter.value) for parameter in model.parameters) for model in (hinge, pendulum)]
     start = (math.radians(60), 0.0)
     none = np.empty((len(TIME_S), 0))
     effects = (
@@ -136,10 +136,10 @@ def by_odeint(case: Case, slope: Slope, tolerance: float) -> FloatArray:
 
 
 def by_labrun(case: Case, substeps: int) -> FloatArray:
-    found = simulate(
+    result = simulate(
         case.model, TIME_S, case.inputs, initial_state=case.start, effects=case.effects, substeps=substeps
     )
-    return found.outputs[:, 0]
+    return result.outputs[:, 0]
 
 
 def least_s(calls: list[Callable[[], object]], repeats: int) -> list[float]:

@@ -46,25 +46,25 @@ SPLITS = {
 def seconds() -> float:
     """Return the processor's time of this process and of those it has waited for."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
+    return sum(getrusage.ru_utime + getrusage.ru_stime for getrusage in used)
 
 
 def said_of(folder: Path, workers: int) -> list[str]:
     """Return a row of the table."""
     begin, clock = seconds(), time.perf_counter()
     question = ask(folder, None)
-    found = diagnose_dataset(question.dataset, question.model, Options(places=False, workers=workers))
+    dataset = diagnose_dataset(question.dataset, question.model, Options(places=False, workers=workers))
     causes = []
-    for cause in found.causes:
+    for cause in dataset.causes:
         rivals = "".join(f" or {name.words}" for name in cause.indistinguishable_from)
         values = ", ".join(value_words(cause.values))
         causes.append(f"{cause.name.words}{rivals} ({values}; {percent(cause.confidence)})")
-    share = "" if found.shrinkage is None else percent(found.shrinkage.value)
+    share = "" if dataset.shrinkage is None else percent(dataset.shrinkage.value)
     return [
         folder.name,
-        f"{found.trials} trials, {found.repeats} of each",
+        f"{dataset.trials} trials, {dataset.repeats} of each",
         PUBLISHED.get(folder.name, "not known"),
-        found.verdict,
+        dataset.verdict,
         "; ".join(causes) or "no cause",
         share,
         f"{seconds() - begin:.0f} s ({time.perf_counter() - clock:.0f} s)",
@@ -77,19 +77,19 @@ def split(folder: Path, workers: int) -> list[str]:
     trials = question.dataset.trials
     half = len(trials) // 2
     seen, unseen = (replace(question.dataset, trials=part) for part in (trials[:half], trials[half:]))
-    found = diagnose_dataset(seen, question.model, Options(places=False, workers=workers))
-    corrected = question.model.with_values(found.corrected).with_effects(found.effects)
+    dataset = diagnose_dataset(seen, question.model, Options(places=False, workers=workers))
+    corrected = question.model.with_values(dataset.corrected).with_effects(dataset.effects)
     result = predict_fresh(
         corrected, unseen, np.random.default_rng(0), before=question.model, horizons_s=(0.1,)
     )
-    whole = next(one for one in result.predictions if one.horizon_s is None)
+    whole = next(prediction for prediction in result.predictions if prediction.horizon_s is None)
     words, factor, unit = SPLITS[folder.name]
     return [
         folder.name,
         f"corrected by {half} parts, simulated on {len(trials) - half}",
         f"{factor * whole.error.value:.3g} {unit} [{factor * whole.error.low:.3g}, {factor * whole.error.high:.3g}]",
         f"as it was {factor * whole.before.value:.3g} {unit}",
-        "; ".join(cause.name.words for cause in found.causes),
+        "; ".join(cause.name.words for cause in dataset.causes),
         words,
     ]
 
@@ -108,11 +108,11 @@ def alone(folder: Path, workers: int) -> list[str]:
         for label, cause in causes
         if not true & {cause.name, *cause.indistinguishable_from[:1]}
     ]
-    told = np.mean([cause.confidence for _, cause in causes]) if causes else float("nan")
+    message = np.mean([cause.confidence for _, cause in causes]) if causes else float("nan")
     return [
         folder.name,
         f"{len(question.dataset.trials)} trials",
-        f"{len(causes)} causes, {len(causes) - len(wrong)} right, told with {percent(told)}"
+        f"{len(causes)} causes, {len(causes) - len(wrong)} right, told with {percent(message)}"
         if causes
         else "no cause",
         "; ".join(wrong),
@@ -133,13 +133,15 @@ def main() -> None:
     given = parser.parse_args()
     if given.folder is None or not given.folder.is_dir():
         parser.error("name the folder of the recordings, or set LABRUN_RECORDINGS")
-    folders = sorted(one.parent for one in given.folder.glob("*/recording.toml"))
+    folders = sorted(path.parent for path in given.folder.glob("*/recording.toml"))
     wanted = [
-        one for one in folders if given.only in (None, one.name) and (not given.splits or one.name in SPLITS)
+        folder
+        for folder in folders
+        if given.only in (None, folder.name) and (not given.splits or folder.name in SPLITS)
     ]
     if not wanted:
         parser.error(
-            f"no such recording in {given.folder}: it holds {', '.join(one.name for one in folders) or 'none'}"
+            f"no such recording in {given.folder}: it holds {', '.join(folder.name for folder in folders) or 'none'}"
         )
     for folder in wanted:
         row = (split if given.splits else alone if given.single else said_of)(folder, given.workers)

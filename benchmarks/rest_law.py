@@ -74,16 +74,16 @@ def swings(noise_rad: float) -> Dataset:
 def by_labrun(model: Model, data: Dataset, term: str) -> str:
     """Return the terms and the coefficient of one of them, in SI."""
     begin = time.perf_counter()
-    found = recalibrate(model, averaged(data, model), np.random.default_rng(0), lambda _: None)
-    law = explain_rest(found.problem, found.z, found.noise, np.random.default_rng(0))
+    recalibrated = recalibrate(model, averaged(data, model), np.random.default_rng(0), lambda _: None)
+    law = explain_rest(recalibrated.problem, recalibrated.z, recalibrated.noise, np.random.default_rng(0))
     took = time.perf_counter() - begin
     if law is None or not law.terms:
         return f"no law ({took:.1f} s)"
     ones = {"q": 1.0, "rate": 1.0, "signal": 1.0, "abs": abs, "tanh": np.tanh}
-    told = [(one.formula, one.size * eval(one.formula.replace("^", "**"), ones)) for one in law.terms]
-    return (
-        f"{', '.join(f'{value:.4g} {formula}' for formula, value in told)} ({took:.1f} s; looked for: {term})"
-    )
+    messages = [
+        (other.formula, other.size * eval(other.formula.replace("^", "**"), ones)) for other in law.terms
+    ]
+    return f"{', '.join(f'{value:.4g} {formula}' for formula, value in messages)} ({took:.1f} s; looked for: {term})"
 
 
 def by_pysindy(data: Dataset, factor: float) -> str:
@@ -91,16 +91,16 @@ def by_pysindy(data: Dataset, factor: float) -> str:
     import pysindy
 
     begin = time.perf_counter()
-    times = [one.time_s - one.time_s[0] for one in data.trials]
+    times = [trial.time_s - trial.time_s[0] for trial in data.trials]
     slope = pysindy.SmoothedFiniteDifference()
     states = [
-        np.column_stack([one.outputs[:, 0], slope(one.outputs[:, :1], t)[:, 0]])
-        for one, t in zip(data.trials, times, strict=True)
+        np.column_stack([trial.outputs[:, 0], slope(trial.outputs[:, :1], t)[:, 0]])
+        for trial, t in zip(data.trials, times, strict=True)
     ]
-    inputs = [one.inputs for one in data.trials] if data.inputs else None
+    inputs = [trial.inputs for trial in data.trials] if data.inputs else None
     size = np.std(np.concatenate(states), axis=0)
-    drive = None if inputs is None else [one / np.std(np.concatenate(inputs)) for one in inputs]
-    scaled = [one / size for one in states]
+    drive = None if inputs is None else [signal / np.std(np.concatenate(inputs)) for signal in inputs]
+    scaled = [state / size for state in states]
 
     def fitted(threshold: float) -> tuple[float, int, pysindy.SINDy]:
         """Return the score on the trial that is withheld, the number of terms, and the model of all trials."""
@@ -111,27 +111,27 @@ def by_pysindy(data: Dataset, factor: float) -> str:
                 feature_library=pysindy.PolynomialLibrary(degree=3),
                 differentiation_method=slope,
             )
-            part = None if drive is None else [drive[one] for one in chosen]
-            model.fit([scaled[one] for one in chosen], t=[times[one] for one in chosen], u=part)
+            part = None if drive is None else [drive[index] for index in chosen]
+            model.fit([scaled[index] for index in chosen], t=[times[index] for index in chosen], u=part)
             withheld = None if drive is None else drive[2]
             scores.append(model.score(scaled[2], t=times[2], u=withheld))
         return scores[0], int(np.count_nonzero(model.coefficients()[1])), model
 
     scan = [fitted(threshold) for threshold in np.geomspace(0.05, 500.0, 13)]
     best = max(score for score, _, _ in scan)
-    model = min((one for one in scan if one[0] > best - 0.002), key=lambda one: one[1])[2]
+    model = min((entry for entry in scan if entry[0] > best - 0.002), key=lambda entry: entry[1])[2]
     values = model.coefficients()[1] * size[1] * factor
     names = model.get_feature_names()
-    told = []
+    messages = []
     for name, value in zip(names, values, strict=True):
         powers = [_power(name, "x0"), _power(name, "x1")]
         if abs(value) > 0 and name not in ("x0", "x1", "u0"):
-            told.append(f"{value / size[0] ** powers[0] / size[1] ** powers[1]:.4g} {name}")
-    return f"{', '.join(told) or 'linear alone'} ({time.perf_counter() - begin:.1f} s)"
+            messages.append(f"{value / size[0] ** powers[0] / size[1] ** powers[1]:.4g} {name}")
+    return f"{', '.join(messages) or 'linear alone'} ({time.perf_counter() - begin:.1f} s)"
 
 
 def _power(name: str, state: str) -> int:
-    factors = [one.partition("^") for one in name.split()]
+    factors = [part.partition("^") for part in name.split()]
     return sum(int(power or 1) for base, _, power in factors if base == state)
 
 

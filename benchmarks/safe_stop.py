@@ -198,11 +198,11 @@ def main() -> None:
     for actuator in given.actuators.split(","):
         for cause in (*INSIDE, *OUTSIDE):
             measure = inside if cause in INSIDE else outside
-            found = []
+            results = []
             for _ in range(given.repeats):
                 with tempfile.TemporaryDirectory() as scratch:
-                    found.append(1e3 * measure(actuator, cause, Path(scratch)))
-            rows.append([actuator, cause, f"{statistics.median(found):.1f}", f"{max(found):.1f}"])
+                    results.append(1e3 * measure(actuator, cause, Path(scratch)))
+            rows.append([actuator, cause, f"{statistics.median(results):.1f}", f"{max(results):.1f}"])
             print(*rows[-1], flush=True)
     print(table(["actuator", "cause", "median (ms)", "worst (ms)"], rows))
 

@@ -106,7 +106,7 @@ def terms(recording: Recording, state: str, motion: Motion) -> dict[tuple[str, s
         push = recording.acceleration(state, motion, **{f"force_at_{site.name}": 1.0}) - still
         if not np.any(push) or site.rate not in motion.names or site.coordinate not in motion.names:
             continue
-        rate, place = motion.names[site.rate][EDGE:-EDGE], motion.names[site.coordinate][EDGE:-EDGE]
+        rate, name = motion.names[site.rate][EDGE:-EDGE], motion.names[site.coordinate][EDGE:-EDGE]
         dry = -np.tanh(rate / (SLOW * np.abs(rate).max() + 1e-12))
         if site.kind == "body":
             forces = {"drag-error": -np.abs(rate) * rate}
@@ -115,8 +115,8 @@ def terms(recording: Recording, state: str, motion: Motion) -> dict[tuple[str, s
                 "coulomb-friction": dry,
                 "viscous-damping": -rate,
                 "quadratic-drag": -np.abs(rate) * rate,
-                "cubic-stiffness": -(place**3),
-                "asymmetric-stiffness": -np.maximum(place, 0.0),
+                "cubic-stiffness": -(name**3),
+                "asymmetric-stiffness": -np.maximum(name, 0.0),
                 "constant-force": np.ones_like(rate),
             }
             if site.load:
@@ -201,24 +201,26 @@ def chosen(columns: list[np.ndarray], target: list[np.ndarray]) -> tuple[np.ndar
         error = []
         for withheld in range(len(target)):
             rest = [index for index in range(len(target)) if index != withheld]
-            found = selected(
+            result = selected(
                 np.concatenate([columns[index] for index in rest]),
                 np.concatenate([target[index] for index in rest]),
                 threshold,
             )
             error.append(
-                np.mean(np.square(target[withheld] - columns[withheld] @ found))
+                np.mean(np.square(target[withheld] - columns[withheld] @ result))
                 / np.mean(np.square(target[withheld]))
             )
         errors.append(error)
     means = np.mean(errors, axis=1)
     best = int(np.argmin(means))
     limit = means[best] + np.std(errors[best], ddof=1) / np.sqrt(len(target))
-    place = max(index for index, mean in enumerate(means) if mean <= limit)
-    gain = 1.0 - np.array(errors[place])
+    position = max(index for index, mean in enumerate(means) if mean <= limit)
+    gain = 1.0 - np.array(errors[position])
     if gain.mean() <= ERRORS * gain.std(ddof=1) / np.sqrt(len(gain)):
         return np.zeros(columns[0].shape[1]), 1.0
-    return selected(np.concatenate(columns), np.concatenate(target), THRESHOLDS[place]), float(means[place])
+    return selected(np.concatenate(columns), np.concatenate(target), THRESHOLDS[position]), float(
+        means[position]
+    )
 
 
 def diagnosed(folder: Path) -> dict:
@@ -233,11 +235,11 @@ def diagnosed(folder: Path) -> dict:
         names, columns, target = regression(recording, state)
         if not names:
             continue
-        found, rest = chosen(columns, target)
-        if not found.any():
+        result, rest = chosen(columns, target)
+        if not result.any():
             continue
         rests.append(min(rest, 1.0))
-        shares = np.square(found) / max(np.square(found).sum(), 1e-30) * (1.0 - rest)
+        shares = np.square(result) / max(np.square(result).sum(), 1e-30) * (1.0 - rest)
         causes += [
             {"effect": name[0], "site": name[1], "closes": float(share)}
             for name, share in zip(names, shares, strict=True)

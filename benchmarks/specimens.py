@@ -70,9 +70,9 @@ TRUTH = {
     "median_polyester_120": 2500.0,
     "shape_polyester_120": 3.0,
     **{
-        f"{sense} {beam}": LIMITS_N_M[beam][place]
+        f"{sense} {beam}": LIMITS_N_M[beam][index]
         for beam in ("long", "short")
-        for place, sense in enumerate(("equal", "opposite"))
+        for index, sense in enumerate(("equal", "opposite"))
     },
 }
 Interval = tuple[float, float, float]
@@ -88,42 +88,42 @@ def chained(seed: int, folder: Path, beside: dict[str, list[float]]) -> Iterator
             beside.setdefault("table 5.2, worst", []).append(off)
             continue
         if name == "hinge-repeatability":
-            rows = {one[0]: one[1:] for one in labrun.fit(run).tables[0].rows}
-            for place, what in enumerate(("stiffness", "damping")):
-                beside.setdefault(f"{what}, mean", []).append(float(rows["mean"][place]))
-                beside.setdefault(f"{what}, sd", []).append(float(rows["standard deviation"][place]))
+            rows = {row[0]: row[1:] for row in labrun.fit(run).tables[0].rows}
+            for index, what in enumerate(("stiffness", "damping")):
+                beside.setdefault(f"{what}, mean", []).append(float(rows["mean"][index]))
+                beside.setdefault(f"{what}, sd", []).append(float(rows["standard deviation"][index]))
             continue
         if name == "beam-buckling":
             loops = labrun.open(run).trials.groupby("beam")["loop"].mean()
             beside.setdefault("loop, steel over polyester", []).append(loops["steel"] / loops["polyester"])
             findings = labrun.fit(run, settings={"beam": "long"}).findings
-            holds = [one for one in findings if one.startswith("the arc") and "holds" in one]
+            holds = [finding for finding in findings if finding.startswith("the arc") and "holds" in finding]
             beside.setdefault("arc holds", []).append(float(len(holds)))
         for beam in ("long", "short") if name == "beam-buckling" else ("",):
-            found = labrun.fit(run, settings={"beam": beam} if beam else None).parameters
-            for key, one in found.items():
-                told = f"{key.removesuffix('_limit')} {beam}" if beam else key
-                if told in TRUTH:
-                    yield told, (one.value, *one.ci95)
+            parameters = labrun.fit(run, settings={"beam": beam} if beam else None).parameters
+            for key, parameter in parameters.items():
+                message = f"{key.removesuffix('_limit')} {beam}" if beam else key
+                if message in TRUTH:
+                    yield message, (parameter.value, *parameter.ci95)
 
 
 def drawn(seed: int) -> Iterator[tuple[str, Interval]]:
     """Observe one batch of specimens on every bench."""
     rng = np.random.default_rng(seed)
     curves = [strip(seed, number) for number in range(11)]
-    yield "young", over([1e-6 * one.young_pa for one in curves])
-    yield "yield_stress", over([1e-6 * one.yield_pa for one in curves])
-    yield "toe_strain", over([100 * one.toe_strain for one in curves])
+    yield "young", over([1e-6 * curve.young_pa for curve in curves])
+    yield "yield_stress", over([1e-6 * curve.yield_pa for curve in curves])
+    yield "toe_strain", over([100 * curve.toe_strain for curve in curves])
     lives = LifeBench({}, rng)
     lives.arrange({"layup": "polyester", "range": 120})
     cycles = []
     for number in range(5):
         lives.mount(number)
         cycles.append(math.ceil(lives.truth()["life"]))
-    found = fit_weibull(np.array(cycles, dtype=float), np.ones(5, dtype=bool))
-    median, shape = intervals(found, 5, 5, rng)
-    yield "median_polyester_120", (found.median, *median)
-    yield "shape_polyester_120", (found.shape, *shape)
+    weibull = fit_weibull(np.array(cycles, dtype=float), np.ones(5, dtype=bool))
+    median, shape = intervals(weibull, 5, 5, rng)
+    yield "median_polyester_120", (weibull.median, *median)
+    yield "shape_polyester_120", (weibull.shape, *shape)
     for beam in ("long", "short"):
         bench, begin_s = BeamBench({"beam": beam}, rng), 1.0
         bench.observe(("force",), np.array([0.0]))
@@ -161,11 +161,11 @@ def over(values: Sequence[float]) -> Interval:
     return mean, mean - half, mean + half
 
 
-def told(found: dict[str, list[Interval]]) -> None:
+def told(results: dict[str, list[Interval]]) -> None:
     """Print how often intervals hold the truth, and how far means of the estimates lie from it."""
     print("| quantity | truth | mean of the estimates | off by | half interval, mean | truth held |")
     print("| --- | --- | --- | --- | --- | --- |")
-    for name, rows in found.items():
+    for name, rows in results.items():
         estimates, lows, highs = np.array(rows).T
         truth = TRUTH[name]
         held = int(np.count_nonzero((lows <= truth) & (truth <= highs)))
@@ -176,13 +176,13 @@ def told(found: dict[str, list[Interval]]) -> None:
         )
 
 
-def accepted(found: dict[str, list[Interval]], beside: dict[str, list[float]], seeds: int) -> None:
+def accepted(results: dict[str, list[Interval]], beside: dict[str, list[float]], seeds: int) -> None:
     """Print what is measured beside what the source has, and how far off that may be."""
     own = np.array([strip_off(seed, number) for seed in range(seeds) for number in range(11)]).T
-    lives = found["median_polyester_120"]
+    lives = results["median_polyester_120"]
     holds = sum(low <= 2500.0 <= high for _, low, high in lives)
     rows = [
-        (f"{what}, mean of a seed", unit, TRUTH[key], [one[0] for one in found[key]], share)
+        (f"{what}, mean of a seed", unit, TRUTH[key], [interval[0] for interval in results[key]], share)
         for what, key, unit, share in (
             ("modulus", "young", "MPa", 0.015),
             ("yield stress", "yield_stress", "MPa", 0.02),
@@ -209,7 +209,8 @@ def accepted(found: dict[str, list[Interval]], beside: dict[str, list[float]], s
             f"| {'0.02 % strain' if what.startswith('toe') else ''} |"
         )
     print(
-        f"| life at +-120 deg | 2500 | {np.mean([one[0] for one in lives]):.0f} | | | inside {holds} of {len(lives)} |"
+        f"| life at +-120 deg | 2500 | {np.mean([interval[0] for interval in lives]):.0f} | | | inside "
+        f"{holds} of {len(lives)} |"
     )
     for what, truth, sd in (("stiffness", 0.068633, 0.0226), ("damping", 2.8863e-4, 0.0318)):
         means = np.array(beside[f"{what}, mean"])
@@ -255,20 +256,20 @@ def life(folder: Path) -> None:
     process.wait()
     assert log is not None
     whole = [json.loads(line) for line in log.read_text().splitlines() if line.endswith("}")]
-    cycles = sum(one["event"] == "cycle" for one in whole)
-    place = log.parents[1]
-    size = sum(one.stat().st_size for one in place.rglob("*") if one.is_file())
+    cycles = sum(loads["event"] == "cycle" for loads in whole)
+    parent = log.parents[1]
+    size = sum(path.stat().st_size for path in parent.rglob("*") if path.is_file())
     print(f"killed with {cycles} cycles on disk, {1e-6 * size:.0f} MB")
     before = log.read_bytes()
     before = before[: before.rfind(b"\n") + 1]
-    subprocess.run([*command, "resume", str(place)], cwd=folder, check=True)
+    subprocess.run([*command, "resume", str(parent)], cwd=folder, check=True)
     kept = log.read_bytes().startswith(before) if log.exists() else None
     print(f"what was on disk is {'as it was' if kept else 'packed' if kept is None else 'CHANGED'}")
-    subprocess.run([*command, "fit", str(place)], cwd=folder, check=True)
+    subprocess.run([*command, "fit", str(parent)], cwd=folder, check=True)
     most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     print(f"greatest memory of a process: {most / 1000:.0f} MB")
     print(
-        f"whole trial: {1e-6 * sum(one.stat().st_size for one in place.rglob('*') if one.is_file()):.1f} MB"
+        f"whole trial: {1e-6 * sum(path.stat().st_size for path in parent.rglob('*') if path.is_file()):.1f} MB"
     )
     print(f"{time.monotonic() - begin:.0f} s")
 
@@ -289,13 +290,16 @@ def hidden(seeds: Sequence[int], names: Sequence[str], folder: Path) -> None:
                 results=folder,
             ).run
             begin = time.process_time()
-            found = labrun.diagnose(run, workers=1, page=False, results=folder).diagnosis
+            diagnosis = labrun.diagnose(run, workers=1, page=False, results=folder).diagnosis
             spent_s = time.process_time() - begin
             compared = reveal(run, results=folder)
-            causes = [" or ".join(map(str, (one.name, *one.indistinguishable_from))) for one in found.causes]
+            causes = [
+                " or ".join(map(str, (cause.name, *cause.indistinguishable_from)))
+                for cause in diagnosis.causes
+            ]
             was = "; ".join(f"{one.effect} at {one.site}" for one in compared.revealed.hidden) or "nothing"
-            told = "; ".join(causes) or found.verdict
-            print(f"| {name} | {seed} | {was} | {told} | {compared.score} | {spent_s:.0f} |", flush=True)
+            message = "; ".join(causes) or diagnosis.verdict
+            print(f"| {name} | {seed} | {was} | {message} | {compared.score} | {spent_s:.0f} |", flush=True)
 
 
 def main() -> None:
@@ -308,7 +312,7 @@ def main() -> None:
     parser.add_argument("--hidden", action="store_true", help="hidden causes, drawn by seed, instead")
     parser.add_argument("--only", choices=HIDDEN, action="append", help="with --hidden: this rig; repeatable")
     given = parser.parse_args()
-    found: dict[str, list[Interval]] = {}
+    results: dict[str, list[Interval]] = {}
     beside: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         if given.life:
@@ -321,11 +325,11 @@ def main() -> None:
             hidden(range(given.seeds), given.only or list(HIDDEN), Path(folder))
             return
         for seed in range(given.draws or given.seeds):
-            for name, one in drawn(seed) if given.draws else chained(seed, Path(folder), beside):
-                found.setdefault(name, []).append(one)
-    told(found)
+            for name, interval in drawn(seed) if given.draws else chained(seed, Path(folder), beside):
+                results.setdefault(name, []).append(interval)
+    told(results)
     if beside:
-        accepted(found, beside, given.seeds)
+        accepted(results, beside, given.seeds)
 
 
 if __name__ == "__main__":

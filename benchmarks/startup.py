@@ -41,17 +41,17 @@ def main() -> None:
     )
     parser.add_argument("--repeats", type=int, default=25)
     repeats = parser.parse_args().repeats
-    found: dict[str, list[float]] = {name: [] for name in COMMANDS}
+    results: dict[str, list[float]] = {name: [] for name in COMMANDS}
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         cpu_s([*LABRUN, "init"], folder)
         cpu_s([*LABRUN, "sweep", "fin-params", "--dry-run", "--seed", "1", "--limit", "1"], folder)
         for _ in range(repeats + 1):
             for name, (command, _goal) in COMMANDS.items():
-                found[name].append(cpu_s(command, folder))
+                results[name].append(cpu_s(command, folder))
     rows = []
     for name, (_command, goal) in COMMANDS.items():
-        times = sorted(found[name][1:])
+        times = sorted(results[name][1:])
         middle = statistics.median(times)
         verdict = "" if goal is None else f"{goal:.2f} {'held' if middle <= goal else 'MISSED'}"
         rows.append([name, f"{times[0]:.3f}", f"{middle:.3f}", f"{times[-1]:.3f}", verdict])

@@ -95,14 +95,14 @@ def main() -> None:
             end_s = clock.now() + duration_s
             while clock.now() < end_s:
                 clock.sleep(LOOK_S)
-                for name, found in blocks.items():
-                    found.append(devices[name].read())
+                for name, block in blocks.items():
+                    block.append(devices[name].read())
             pacing = devices["fins"].pacing()
-            for name, found in blocks.items():
-                found.append(devices[name].read())
+            for name, block in blocks.items():
+                block.append(devices[name].read())
                 devices[name].stop()
         sent = {name: sent_by(Path(logs) / f"{name}.jsonl") for name in blocks}
-    rows = [row(name, found, sent[name], devices[name].rate_hz) for name, found in blocks.items()]
+    rows = [row(name, block, sent[name], devices[name].rate_hz) for name, block in blocks.items()]
     print(
         table(
             [
@@ -131,19 +131,19 @@ def sent_by(log: Path) -> int:
     return max((line["sent"] for line in lines if line["event"] == "closed"), default=0)
 
 
-def row(name: str, found: list[Samples], sent: int, rate_hz: float) -> list[str]:
+def row(name: str, results: list[Samples], sent: int, rate_hz: float) -> list[str]:
     """Return one stream's figures, by the means of the run's own report."""
-    samples = Samples.join(found, found[0].values.shape[1])
+    samples = Samples.join(results, results[0].values.shape[1])
     columns = tuple(map(str, range(samples.values.shape[1])))
     signals = Signals(
         name, columns, ("",) * len(columns), samples.device_time_s - samples.device_time_s[0], samples.values, {},
         samples.device_time_s, samples.host_time_s, rate_hz, samples.lost,
     )  # fmt: skip
-    told = stream_report(signals)
-    drift = "" if told.drift_ppm is None else f"{told.drift_ppm:.1f}"
+    report = stream_report(signals)
+    drift = "" if report.drift_ppm is None else f"{report.drift_ppm:.1f}"
     return [
-        name, str(len(samples)), str(samples.lost), str(sent), f"{told.rate_hz:.2f}", f"{1e3 * told.jitter_s:.3f}",
-        f"{told.offset_s:.4f}", drift,
+        name, str(len(samples)), str(samples.lost), str(sent), f"{report.rate_hz:.2f}", f"{1e3 * report.jitter_s:.3f}",
+        f"{report.offset_s:.4f}", drift,
     ]  # fmt: skip
 
 

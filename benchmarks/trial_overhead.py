@@ -240,10 +240,10 @@ class Qcodes(Side):
                     saver.flush_data_to_database()
 
     def _reading(self) -> list[tuple[str, Any]]:
-        found = self._sensor.trace(self._servo())
+        trace = self._sensor.trace(self._servo())
         if not self._trace:
-            return [("thrust", float(found[:, 0].mean()))]
-        return [("time_s", self._sensor.time_s), *((name, found[:, k]) for k, name in enumerate(NAMES))]
+            return [("thrust", float(trace[:, 0].mean()))]
+        return [("time_s", self._sensor.time_s), *((name, trace[:, k]) for k, name in enumerate(NAMES))]
 
 
 class PyMeasure(Side):
@@ -267,13 +267,13 @@ class PyMeasure(Side):
 
     def run(self, poses: NDArray[np.float64]) -> None:
         for pose in poses.tolist():
-            found = self._sensor.trace(pose)
+            trace = self._sensor.trace(pose)
             if self._trace:
-                for time_s, row in zip(self._sensor.time_s.tolist(), found.tolist(), strict=True):
+                for time_s, row in zip(self._sensor.time_s.tolist(), trace.tolist(), strict=True):
                     record = {"pose": pose, "time_s": time_s, **dict(zip(NAMES, row, strict=True))}
                     self._recorder.handle(record)
             else:
-                self._recorder.handle({"pose": pose, "thrust": float(found[:, 0].mean())})
+                self._recorder.handle({"pose": pose, "thrust": float(trace[:, 0].mean())})
             os.fsync(self._stream.fileno())
 
 
@@ -292,11 +292,11 @@ class BareH5py(Side):
 
     def run(self, poses: NDArray[np.float64]) -> None:
         for pose in poses:
-            found = self._sensor.trace(pose)
+            trace = self._sensor.trace(pose)
             rows = (
-                np.column_stack([np.full(SAMPLES, pose), self._sensor.time_s, found])
+                np.column_stack([np.full(SAMPLES, pose), self._sensor.time_s, trace])
                 if self._trace
-                else np.array([[pose, found[:, 0].mean()]])
+                else np.array([[pose, trace[:, 0].mean()]])
             )
             self._data.resize(len(self._data) + len(rows), axis=0)
             self._data[-len(rows) :] = rows
@@ -320,7 +320,7 @@ class PlainAppend(Side):
 
 def sides(folder: Path) -> list[Side]:
     """Return all sides, and say which are missing."""
-    found: list[Side] = [Labrun(folder), Labrun(folder, settle=True), Labrun(folder, dry_run=True)]
+    results: list[Side] = [Labrun(folder), Labrun(folder, settle=True), Labrun(folder, dry_run=True)]
     others: list[tuple[Callable[..., Side], dict[str, bool]]] = [
         (Bluesky, {"trace": True, "each": True}), (Bluesky, {"trace": True}), (Bluesky, {"trace": False}),
         (Qcodes, {"trace": True, "each": True}), (Qcodes, {"trace": True}), (Qcodes, {"trace": False}),
@@ -330,10 +330,10 @@ def sides(folder: Path) -> list[Side]:
     ]  # fmt: skip
     for make, how in others:
         try:
-            found.append(make(folder, **how))
+            results.append(make(folder, **how))
         except ImportError as error:
             print(f"left out: {error}")
-    return found
+    return results
 
 
 def main() -> None:

@@ -44,14 +44,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     summary; a test that fails three times has failed.
     """
     for item in items:
-        place = Path(item.path).relative_to(config.rootpath).as_posix()
-        in_real_time = place.startswith(_IN_REAL_TIME) and not place.startswith(_ON_A_SIMULATED_CLOCK)
+        module_path = Path(item.path).relative_to(config.rootpath).as_posix()
+        in_real_time = module_path.startswith(_IN_REAL_TIME) and not module_path.startswith(
+            _ON_A_SIMULATED_CLOCK
+        )
         if in_real_time and config.pluginmanager.hasplugin("rerunfailures"):
             item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=1))
         if isinstance(item, pytest.Function):
             made = item._fixtureinfo.name2fixturedefs
-            if any(one.scope == "module" for found in made.values() for one in found):
-                item.add_marker(pytest.mark.xdist_group(place))
+            if any(
+                fixture.scope == "module" for name2fixturedef in made.values() for fixture in name2fixturedef
+            ):
+                item.add_marker(pytest.mark.xdist_group(module_path))
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -137,7 +137,7 @@ def _carry_out(connection: socket.socket) -> None:
     os.environ.clear()
     os.environ.update(environment)
     added = [
-        place for place in environment.get("PYTHONPATH", "").split(os.pathsep) if place not in ("", *sys.path)
+        part for part in environment.get("PYTHONPATH", "").split(os.pathsep) if part not in ("", *sys.path)
     ]
     sys.path[:0] = added
     if Path(program).name == "forked-python":

@@ -192,13 +192,13 @@ def explained():
 
 
 def parameter():
-    found = ResampledNumber(5.1e-5, 5.0e-5, 5.2e-5, "kg m^2")
+    number = ResampledNumber(5.1e-5, 5.0e-5, 5.2e-5, "kg m^2")
     return replace(
         explained(),
         sentence="Parameter inertia closes 88 % of the gap; the rest (0.5 times the noise) is within the noise.",
         gap=Sizes(9.1, 4.1, 0.5, 0.8),
-        causes=(Cause(INERTIA, 0.93, {"inertia": found}, 0.88, 0.88, remark="1.31 times the stated value"),),
-        candidates=(RatedCandidate(INERTIA, "cause", 0.88, {"inertia": found}), *OTHERS[:-1]),
+        causes=(Cause(INERTIA, 0.93, {"inertia": number}, 0.88, 0.88, remark="1.31 times the stated value"),),
+        candidates=(RatedCandidate(INERTIA, "cause", 0.88, {"inertia": number}), *OTHERS[:-1]),
         recalibration={**explained().recalibration, "inertia": (3.9e-5, 0.03, 5.1e-5)},
         missing=(),
         ladder=ladder(
@@ -217,7 +217,7 @@ def no_gap():
         verdict="no-gap",
         sentence="Model and measurement agree within the noise once the parameters are recalibrated.",
         gap=Sizes(2.2, 0.3, 0.3, 0.8),
-        where=tuple(replace(place, p=None if place.p is None else 0.5) for place in WHERE),
+        where=tuple(replace(location, p=None if location.p is None else 0.5) for location in WHERE),
         causes=(),
         candidates=OTHERS,
         shrinkage=None,
@@ -371,7 +371,7 @@ def single_condition():
         repeats=1,
         shrinkage=None,
         gap=Sizes(210.0, 88.0, 1.1, 1.0),
-        where=tuple(place for place in WHERE if place.by != "condition"),
+        where=tuple(location for location in WHERE if location.by != "condition"),
         limitations=(
             "A single trial: gap and noise are told apart by frequency only.",
             "One condition: nothing is left to check the cause on.",

@@ -41,7 +41,7 @@ def test_what_a_result_tells_never_becomes_markup(tmp_path):
             ranking_text,
         ),
     ],
-    ids=lambda one: type(one).__name__,
+    ids=lambda entry: type(entry).__name__,
 )
 def test_what_a_command_prints_is_what_a_notebook_shows(result, words):
     assert result._repr_html_() == as_html(words(result))

@@ -37,8 +37,8 @@ def _forget():
 
 
 def test_a_folder_with_a_rig_file_is_found_and_not_imported(rigs):
-    (found,) = (one for one in registry.installed("labrun.scenes") if one.name == "pond")
-    assert (found.target, found.origin) == ("some_lab.rigs.pond.scene:Pond", "some-lab 1.2")
+    (result,) = (entry for entry in registry.installed("labrun.scenes") if entry.name == "pond")
+    assert (result.target, result.origin) == ("some_lab.rigs.pond.scene:Pond", "some-lab 1.2")
     assert "some_lab.rigs.pond" not in sys.modules
     assert registry.load("labrun.scenes", "pond").__name__ == "Pond"
 

@@ -65,13 +65,13 @@ def _members(module: ModuleType, names: list[str]) -> Iterator[tuple[str, str]]:
 
 def _methods(of: type) -> str:
     """Return the public methods and properties of a class, `` Has `start`, `read`.``."""
-    found = [
+    texts = [
         f"`{name}`"
         for name, member in vars(of).items()
         if not name.startswith("_")
         and (inspect.isfunction(member) or isinstance(member, property | classmethod | staticmethod))
     ]
-    return f" Has {', '.join(found)}." if found else ""
+    return f" Has {', '.join(texts)}." if texts else ""
 
 
 def _first_line(of: Any) -> str:

@@ -195,22 +195,22 @@ def rig_for(kind: str) -> Rig:
 
 def picture(effect: Effect) -> bytes:
     """Return the picture as PNG: the output without and with the effect, and below it what the effect changes."""
-    found = signature(effect)
-    (channel, *_), time_s = found.rig.model.outputs, found.rig.time_s
+    result = signature(effect)
+    (channel, *_), time_s = result.rig.model.outputs, result.rig.time_s
     unit = f", {channel.unit}" if channel.unit not in ("", "1") else ""
     with new_figure(6.6, 2.5) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.7, 1.0])
-        above.plot(time_s, found.bare, color=SOFT, linewidth=2.2, label="without")
-        for one, output, colour in zip(found.sizes, found.outputs, COLOURS, strict=False):
-            above.plot(time_s, output, color=colour, linewidth=1.1, label=_label(one, found.rig.model))
-            below.plot(time_s, output - found.bare, color=colour, linewidth=1.1)
+        above.plot(time_s, result.bare, color=SOFT, linewidth=2.2, label="without")
+        for size, output, colour in zip(result.sizes, result.outputs, COLOURS, strict=False):
+            above.plot(time_s, output, color=colour, linewidth=1.1, label=_label(size, result.rig.model))
+            below.plot(time_s, output - result.bare, color=colour, linewidth=1.1)
         below.axhline(0.0, color=SOFT, linewidth=0.8, zorder=0)
         above.set_ylabel(f"{channel.name}{unit}")
         below.set_ylabel("change")
         below.set_xlabel("time, s")
         above.set_xlim(time_s[0], time_s[-1])
         figure.align_ylabels()
-        figure.legend(loc="outside upper left", ncols=1 if _long(found) else 3, handlelength=1.5)
+        figure.legend(loc="outside upper left", ncols=1 if _long(result) else 3, handlelength=1.5)
         return _as_png(figure)
 
 
@@ -227,25 +227,29 @@ def write_pictures(effects: Mapping[str, Effect], folder: Path) -> None:
 def _at(effect: Effect, rig: Rig, which: int) -> AttachedEffect:
     """Put an effect on the rig; only what can vanish changes with the size, its shape stays."""
     values = {}
-    sizes = [one for one in effect.parameters if one.neutral is not None]
-    alone = max((len(one.starts) for one in sizes), default=0) == 1
-    for one in effect.parameters:
-        starts = one.start_values(rig.scale)
-        starts = (starts[0], _SMALLER * starts[0]) if alone and one in sizes else starts
+    sizes = [parameter for parameter in effect.parameters if parameter.neutral is not None]
+    alone = max((len(size.starts) for size in sizes), default=0) == 1
+    for parameter in effect.parameters:
+        starts = parameter.start_values(rig.scale)
+        starts = (starts[0], _SMALLER * starts[0]) if alone and parameter in sizes else starts
         most = _LARGEST * abs(
             starts[0]
         )  # friction above what drives the rig would only show that it stands still
         # the last of three starts of a level is out of reach: a stop there shows nothing
-        reached = starts[:2] if one.neutral in (np.inf, -np.inf) else starts
-        values[one.name] = starts[0] if one.neutral is None else min(max(reached[which], -most), most)
+        reached = starts[:2] if parameter.neutral in (np.inf, -np.inf) else starts
+        values[parameter.name] = (
+            starts[0] if parameter.neutral is None else min(max(reached[which], -most), most)
+        )
     return effect.attach(rig.site, rig.scale, **values)
 
 
 def _output(rig: Rig, effects: tuple[AttachedEffect, ...]) -> FloatArray:
-    found = simulate(rig.model, rig.time_s, rig.inputs, effects=effects, substeps=8)
-    if not found.finite:
-        raise ValueError(f"{rig.model.name} blows up with {', '.join(one.effect.id for one in effects)}")
-    return found.outputs[:, 0]
+    result = simulate(rig.model, rig.time_s, rig.inputs, effects=effects, substeps=8)
+    if not result.finite:
+        raise ValueError(
+            f"{rig.model.name} blows up with {', '.join(effect.effect.id for effect in effects)}"
+        )
+    return result.outputs[:, 0]
 
 
 def _scaled(
@@ -268,19 +272,19 @@ def _scaled(
     return Rig(model, time_s, inputs, site, scale)
 
 
-def _label(one: AttachedEffect, model: Model) -> str:
+def _label(effect: AttachedEffect, model: Model) -> str:
     unit = "m" if model.name == "pushed-body" else "rad"
-    shown = [p for p in one.effect.parameters if not p.held]
+    shown = [p for p in effect.effect.parameters if not p.held]
     parts = []
     for parameter in shown:
         of = parameter.unit(unit).replace("^2", "\u00b2").replace("^3", "\u00b3")
-        value = f"{one.named_values[parameter.name]:.2g}".replace("-", "\N{MINUS SIGN}")
+        value = f"{effect.named_values[parameter.name]:.2g}".replace("-", "\N{MINUS SIGN}")
         parts.append(f"{parameter.name.replace('_', ' ')} {value}{'' if of == '1' else f' {of}'}")
     return ", ".join(parts)
 
 
-def _long(found: Signature) -> bool:
-    return len(_label(found.sizes[0], found.rig.model)) > 34
+def _long(result: Signature) -> bool:
+    return len(_label(result.sizes[0], result.rig.model)) > 34
 
 
 def _as_png(figure: "Figure") -> bytes:

@@ -52,7 +52,9 @@ def entries() -> str:
     parts = []
     for kind, (title, rig) in KINDS.items():
         parts += [f"## {title}", rig]
-        for effect in sorted((one for one in effects() if one.kind == kind), key=lambda one: one.id):
+        for effect in sorted(
+            (other for other in effects() if other.kind == kind), key=lambda effect_: effect_.id
+        ):
             parts.append(entry(effect))
     return "\n\n".join(parts)
 
@@ -63,7 +65,7 @@ def entry(effect: Effect) -> str:
     needs = [f"the site's `{need}`" for need in effect.needs]
     if effect.signals > 1:
         needs.append(f"{effect.signals} {effect.kind}s")
-    rows = "\n".join(_row(effect, one) for one in effect.parameters)
+    rows = "\n".join(_row(effect, parameter) for parameter in effect.parameters)
     article = "an" if effect.kind[0] in "aeiou" else "a"
     return "\n\n".join(
         [
@@ -85,26 +87,25 @@ def page(text: str) -> str:
     return f"{head}{BEGIN}\n\n{entries()}\n\n{END}{rest.split(END)[1]}"
 
 
-def _row(effect: Effect, one: EffectParameter) -> str:
-    bounds = f"{_number(one.lower)} to {_number(one.upper)}"
-    neutral = "(shape)" if one.neutral is None else _number(one.neutral)
-    starts = ", ".join(dict.fromkeys(_number(start) for start in one.starts))
-    held = " (held)" if one.held else ""
-    return (
-        f"| `{one.name}` | {_unit(effect, one)} | {bounds} | {_typical(one)} | {neutral} | {starts}{held} |"
-    )
+def _row(effect: Effect, parameter: EffectParameter) -> str:
+    bounds = f"{_number(parameter.lower)} to {_number(parameter.upper)}"
+    neutral = "(shape)" if parameter.neutral is None else _number(parameter.neutral)
+    starts = ", ".join(dict.fromkeys(_number(start) for start in parameter.starts))
+    held = " (held)" if parameter.held else ""
+    unit, typical = _unit(effect, parameter), _typical(parameter)
+    return f"| `{parameter.name}` | {unit} | {bounds} | {typical} | {neutral} | {starts}{held} |"
 
 
-def _unit(effect: Effect, one: EffectParameter) -> str:
+def _unit(effect: Effect, parameter: EffectParameter) -> str:
     """Return the unit at a turning and at a straight site, or as that of the signal."""
     if effect.kind in ("input", "output"):
-        return one.unit(signal_unit="signal").replace("signal", "the signal's")
-    turning, straight = one.unit("rad"), one.unit("m")
+        return parameter.unit(signal_unit="signal").replace("signal", "the signal's")
+    turning, straight = parameter.unit("rad"), parameter.unit("m")
     return turning if turning == straight else f"{turning} or {straight}"
 
 
-def _typical(one: EffectParameter) -> str:
-    return "itself" if one.quantity == "ratio" else one.quantity.replace("-", " ")
+def _typical(parameter: EffectParameter) -> str:
+    return "itself" if parameter.quantity == "ratio" else parameter.quantity.replace("-", " ")
 
 
 def _number(value: float) -> str:

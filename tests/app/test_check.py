@@ -40,9 +40,9 @@ def arm(tmp_path):
 def test_a_joint_that_the_simulated_bench_lacks_is_told_before_a_dry_run(arm):
     arm.write_text(FILE.replace("JOINT", "sholder"))
     assert check(arm, dry_run=False).trials == 1, "the real bench may have it"
-    with pytest.raises(DeviceError, match="this bench has no joint sholder") as told:
+    with pytest.raises(DeviceError, match="this bench has no joint sholder") as raises:
         check(arm, dry_run=True)
-    assert "it has shoulder" in told.value.hint
+    assert "it has shoulder" in raises.value.hint
 
 
 def test_a_bench_with_all_joints_passes_the_check_of_a_dry_run(arm):
@@ -87,7 +87,7 @@ def test_an_objective_of_a_force_that_is_never_tared_is_warned_of(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("found", "changed"),
+    ("result", "changed"),
     [
         ("TARE", "tare = { duration_s = 1 }"),
         ("TARE", 'tare = { duration_s = 1, devices = ["wrench"] }'),
@@ -95,8 +95,8 @@ def test_an_objective_of_a_force_that_is_never_tared_is_warned_of(tmp_path):
         ('"cycle-mean"', '"extremes"\nwhich = "range"'),
     ],
 )
-def test_a_tare_or_an_objective_that_no_offset_changes_needs_no_warning(tmp_path, found, changed):
-    assert notes_of(tmp_path, TANK.replace(found, changed).replace("TARE", "")) == []
+def test_a_tare_or_an_objective_that_no_offset_changes_needs_no_warning(tmp_path, result, changed):
+    assert notes_of(tmp_path, TANK.replace(result, changed).replace("TARE", "")) == []
 
 
 def test_both_channels_of_a_direction_need_a_zero(tmp_path):

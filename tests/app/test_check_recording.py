@@ -40,37 +40,37 @@ def swing(folder, *, scale=1.0, model=SWING, head="", release="release_rad", sam
 
 
 def test_what_a_recording_holds_is_said_with_how_far_its_model_is_off_and_what_to_type_next(tmp_path):
-    found = check_recording(swing(tmp_path / "arm"))
-    assert "3 trials" in found.to_text()
-    assert "2 conditions, each measured 1 to 2 times" in found.to_text()
-    off, spread = found.off["angle"]
+    recording = check_recording(swing(tmp_path / "arm"))
+    assert "3 trials" in recording.to_text()
+    assert "2 conditions, each measured 1 to 2 times" in recording.to_text()
+    off, spread = recording.off["angle"]
     assert off < 0.1 * spread
-    assert found.remarks == ()
-    assert found.next == f"labrun gap diagnose {tmp_path / 'arm'}"
-    assert found.to_json()["channels"][0]["highest"] == pytest.approx(0.4)
+    assert recording.remarks == ()
+    assert recording.next == f"labrun gap diagnose {tmp_path / 'arm'}"
+    assert recording.to_json()["channels"][0]["highest"] == pytest.approx(0.4)
 
 
 def test_an_angle_in_degrees_that_is_said_to_be_in_radians_is_doubted(tmp_path):
-    found = check_recording(swing(tmp_path / "arm", scale=180 / np.pi))
-    assert found.remarks == ("angle is said to be in rad and reaches 22.92: is it in degrees?",)
+    recording = check_recording(swing(tmp_path / "arm", scale=180 / np.pi))
+    assert recording.remarks == ("angle is said to be in rad and reaches 22.92: is it in degrees?",)
 
 
 def test_a_model_that_is_far_from_what_was_measured_is_looked_at_first(tmp_path):
-    found = check_recording(swing(tmp_path / "arm", model=SWING.replace("-9*angle", "90 - 9*angle")))
-    assert "look at units, signs and beginnings first" in found.remarks[0]
+    recording = check_recording(swing(tmp_path / "arm", model=SWING.replace("-9*angle", "90 - 9*angle")))
+    assert "look at units, signs and beginnings first" in recording.remarks[0]
 
 
 def test_a_model_whose_simulation_does_not_stay_finite_is_told_and_not_diagnosed_first(tmp_path):
     unstable = SWING.replace("-9*angle", "1e9*angle^3")
-    found = check_recording(swing(tmp_path / "arm", model=unstable))
-    assert found.off == {}
-    assert "leaves the finite numbers" in found.remarks[0]
+    recording = check_recording(swing(tmp_path / "arm", model=unstable))
+    assert recording.off == {}
+    assert "leaves the finite numbers" in recording.remarks[0]
 
 
 def test_without_a_model_the_recording_alone_is_checked(tmp_path):
-    found = check_recording(swing(tmp_path / "arm", model=""))
-    assert found.model == ""
-    assert "--model FILE" in found.next
+    recording = check_recording(swing(tmp_path / "arm", model=""))
+    assert recording.model == ""
+    assert "--model FILE" in recording.next
 
 
 def test_a_condition_or_a_file_that_is_not_there_is_refused_by_name(tmp_path):
@@ -104,11 +104,11 @@ def test_a_fit_leaves_out_the_trial_in_which_time_jumps_and_says_what_the_check_
     folder = with_time_jump(swing(tmp_path / "arm", samples=60), 1)
     checked = check_recording(folder)
     fitted = fit(folder, results=tmp_path)
-    assert any("1.csv:10 (2.05 s)" in one for one in checked.remarks)
+    assert any("1.csv:10 (2.05 s)" in remark for remark in checked.remarks)
     assert fitted.warnings[: len(checked.remarks)] == checked.remarks
     assert fitted.parameters["damping"].value == pytest.approx(0.5, abs=0.1)
     assert (fitted.data.trials, fitted.data.left_out) == (2, 1)
-    assert not any("controller" in one for one in fitted.warnings)
+    assert not any("controller" in warning for warning in fitted.warnings)
 
 
 def test_a_fit_of_signals_leaves_out_the_trial_in_which_time_jumps(tmp_path):
@@ -122,7 +122,7 @@ def test_a_fit_of_signals_leaves_out_the_trial_in_which_time_jumps(tmp_path):
     }
     fitted = fit(folder, model="least-squares", settings=settings, results=tmp_path)
     assert (fitted.data.trials, fitted.data.left_out) == (2, 1)
-    assert any("time jumps there: trial 1" in one for one in fitted.warnings)
+    assert any("time jumps there: trial 1" in warning for warning in fitted.warnings)
 
 
 def test_a_fit_says_what_the_check_doubts(tmp_path):
@@ -145,8 +145,8 @@ def test_an_angle_whose_counter_wrapped_is_told_with_its_line(tmp_path):
     rows = (folder / "1.csv").read_text().splitlines()
     rows[9:] = [f"{row.split(',')[0]},{float(row.split(',')[1]) - 2 * np.pi:.6f}" for row in rows[9:]]
     (folder / "1.csv").write_text("\n".join(rows) + "\n")
-    (told, *_) = [text for text in check_recording(folder).remarks if "jumps" in text]
-    assert "angle jumps by 6.283 rad between two samples 1 time, first at line 10 of 1.csv" in told
+    (message, *_) = [text for text in check_recording(folder).remarks if "jumps" in text]
+    assert "angle jumps by 6.283 rad between two samples 1 time, first at line 10 of 1.csv" in message
 
 
 def test_whole_numbers_of_seconds_far_apart_may_be_milliseconds(tmp_path):

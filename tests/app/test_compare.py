@@ -52,13 +52,13 @@ def command(*arguments, results):
 
 
 def test_the_model_beside_a_recording_is_held_against_it_as_stated(towed, tmp_path):
-    found = labrun.compare(towed, results=tmp_path / "results")
-    worst = found.comparison.worst
+    result = labrun.compare(towed, results=tmp_path / "results")
+    worst = result.comparison.worst
     assert (worst.condition, worst.trials) == ({"speed": 0.1}, 2)
     assert worst.relative == pytest.approx(np.sqrt(0.5 * 0.002**2) / np.sqrt(0.5 * (0.05**2 + 0.052**2)))
-    assert found.comparison.conditions == 3
-    assert found.figure.is_file()
-    assert json.loads(found.numbers.read_text())["worst"]["condition"] == {"speed": 0.1}
+    assert result.comparison.conditions == 3
+    assert result.figure.is_file()
+    assert json.loads(result.numbers.read_text())["worst"]["condition"] == {"speed": 0.1}
     assert not list(towed.glob("compare*"))
 
 
@@ -83,11 +83,11 @@ def test_what_is_the_same_in_all_conditions_is_said_once(tmp_path):
 
 def test_as_json_everything_is_a_number_and_the_code_is_the_same(towed, tmp_path):
     done = command(towed, "--tolerance", "1%", "--json", results=tmp_path / "results")
-    told = json.loads(done.stdout)
+    loads = json.loads(done.stdout)
     assert done.exit_code == 1
-    assert told["within"] is False
-    assert told["points"][0]["condition"] == {"speed": 0.1}
-    assert set(told["channels"]) == {"drag"}
+    assert loads["within"] is False
+    assert loads["points"][0]["condition"] == {"speed": 0.1}
+    assert set(loads["channels"]) == {"drag"}
 
 
 @pytest.mark.parametrize("tolerance", ["much", "-5%", "0", "15", "nan"])
@@ -100,14 +100,14 @@ def test_what_is_no_tolerance_is_refused_before_anything_is_computed(towed, tmp_
 
 def test_two_recordings_are_compared_where_their_conditions_agree(towed, tmp_path):
     other = recording(tmp_path / "again", {0.2: (0.25,), 0.4: (0.8,), 0.8: (3.0,)}, name="again", water="tap")
-    found = labrun.compare(towed, other, results=tmp_path / "results").comparison
-    assert [point.relative for point in found.points] == pytest.approx([0.25, 0.0])
-    assert "one condition is in towed only" in found.notes
-    assert "one condition is in again only" in found.notes
+    comparison = labrun.compare(towed, other, results=tmp_path / "results").comparison
+    assert [point.relative for point in comparison.points] == pytest.approx([0.25, 0.0])
+    assert "one condition is in towed only" in comparison.notes
+    assert "one condition is in again only" in comparison.notes
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"channel": "lift"}, "neither a number nor a signal of the same name"),
         ({"unit": "N m"}, "is in N, drag of other in N m"),
@@ -115,9 +115,9 @@ def test_two_recordings_are_compared_where_their_conditions_agree(towed, tmp_pat
         ({"table": {0.3: (1.0,)}}, "no condition in common"),
     ],
 )
-def test_what_cannot_be_compared_is_said(towed, tmp_path, changed, said):
+def test_what_cannot_be_compared_is_said(towed, tmp_path, changed, message):
     other = recording(tmp_path / "other", **{"table": DRAG, "name": "other", **changed})
-    with pytest.raises(RequestError, match=said):
+    with pytest.raises(RequestError, match=message):
         labrun.compare(towed, other, results=tmp_path / "results")
 
 
@@ -136,24 +136,24 @@ def swings(tmp_path_factory):
 
 
 def test_a_run_is_held_against_the_model_that_its_experiment_names(swings):
-    found = labrun.compare(swings[0])
-    assert found.numbers.parent == swings[0] / "compare"
-    assert found.comparison.worst.channel == "angle"
-    assert 0 < found.comparison.worst.relative < 1
-    assert "read from the first samples" in found.to_text(100).replace("\n    ", " ")
+    result = labrun.compare(swings[0])
+    assert result.numbers.parent == swings[0] / "compare"
+    assert result.comparison.worst.channel == "angle"
+    assert 0 < result.comparison.worst.relative < 1
+    assert "read from the first samples" in result.to_text(100).replace("\n    ", " ")
 
 
 def test_two_runs_of_an_experiment_are_compared_by_their_objectives_and_told_apart_by_their_start(swings):
-    found = labrun.compare(*swings).comparison
-    assert found.worst.channel == "swing"
-    assert found.data == f"hinge {swings[0].name}"
-    assert found.prediction == f"hinge {swings[1].name}"
+    comparison = labrun.compare(*swings).comparison
+    assert comparison.worst.channel == "swing"
+    assert comparison.data == f"hinge {swings[0].name}"
+    assert comparison.prediction == f"hinge {swings[1].name}"
 
 
 def test_an_experiment_named_twice_is_its_latest_run_beside_the_one_before(swings):
     first, second = swings
-    found = labrun.compare("hinge", "hinge", results=first.parent.parent).comparison
-    assert (found.data, found.prediction) == (f"hinge {second.name}", f"hinge {first.name}")
+    comparison = labrun.compare("hinge", "hinge", results=first.parent.parent).comparison
+    assert (comparison.data, comparison.prediction) == (f"hinge {second.name}", f"hinge {first.name}")
 
 
 def test_a_run_beside_itself_is_refused(swings, towed):
@@ -184,17 +184,17 @@ def test_a_run_and_a_recording_of_the_same_signal_are_compared_over_time(swings,
         'experiment = "seen"\n[channels.angle]\nkind = "output"\nunit = "rad"\n[[trials]]\nfile = "0.csv"\n'
         "condition = { release = 30 }\n"
     )
-    found = labrun.compare(folder, swings[0], results=tmp_path / "results").comparison
-    assert found.worst.at_s is not None
-    assert found.worst.relative < 0.2  # the repeats differ, and their mean is held against the first
+    comparison = labrun.compare(folder, swings[0], results=tmp_path / "results").comparison
+    assert comparison.worst.at_s is not None
+    assert comparison.worst.relative < 0.2  # the repeats differ, and their mean is held against the first
 
 
 def test_a_table_of_numbers_does_not_drive_a_model_and_says_what_it_can_be_held_beside():
     with pytest.raises(
         RequestError, match=r"table-5-2 is a table of numbers, and caudal-thrust .* from tail"
-    ) as told:
+    ) as raises:
         labrun.compare("table-5-2", model="caudal-thrust")
-    assert "labrun compare RUN table-5-2" in told.value.hint
+    assert "labrun compare RUN table-5-2" in raises.value.hint
 
 
 def test_a_models_name_means_the_workspaces_own_copy(tmp_path):
@@ -210,24 +210,26 @@ def test_a_models_name_means_the_workspaces_own_copy(tmp_path):
 
 
 def test_channels_with_a_point_each_stand_side_by_side_in_one_panel(tmp_path):
-    found = labrun.compare("table-3-3", model="six-bar", results=tmp_path).comparison
-    (panel,) = [panel for row in comparison_figure(found).rows for stack in row for panel in stack.panels]
-    assert panel.ticks == tuple(found.units())
+    comparison = labrun.compare("table-3-3", model="six-bar", results=tmp_path).comparison
+    (panel,) = [
+        panel for row in comparison_figure(comparison).rows for stack in row for panel in stack.panels
+    ]
+    assert panel.ticks == tuple(comparison.units())
     measured, predicted = panel.curves
-    assert measured.y == pytest.approx([pair.measured[0] for pair in found.pairs])
-    assert predicted.y == pytest.approx([pair.predicted[0] for pair in found.pairs])
+    assert measured.y == pytest.approx([pair.measured[0] for pair in comparison.pairs])
+    assert predicted.y == pytest.approx([pair.predicted[0] for pair in comparison.pairs])
 
 
 def test_an_axis_of_conditions_has_the_unit_that_their_name_ends_with(tmp_path):
-    found = labrun.compare("table-7-2", "table-7-2-simulated", results=tmp_path).comparison
-    panels = [panel for row in comparison_figure(found).rows for stack in row for panel in stack.panels]
+    comparison = labrun.compare("table-7-2", "table-7-2-simulated", results=tmp_path).comparison
+    panels = [panel for row in comparison_figure(comparison).rows for stack in row for panel in stack.panels]
     assert {panel.x_label for panel in panels} == {"frequency (Hz)"}
 
 
 def test_a_misspelt_recording_is_told_its_name():
-    with pytest.raises(RequestError) as told:
+    with pytest.raises(RequestError) as raises:
         labrun.compare("tabel-5-2")
-    assert told.value.hint == "did you mean the recording 'table-5-2'?"
+    assert raises.value.hint == "did you mean the recording 'table-5-2'?"
 
 
 PULLED = """
@@ -256,7 +258,8 @@ def test_slack_that_first_samples_do_not_tell_is_read_from_the_whole_trial(tmp_p
     for number, slack in enumerate(slack_m):
         force = 105.0 * np.maximum(pulled - slack, 0.0)  # 5 % stiffer than stated
         rows = [
-            f"{0.1 * place},{one},{two}" for place, (one, two) in enumerate(zip(pulled, force, strict=True))
+            f"{0.1 * index},{value},{two}"
+            for index, (value, two) in enumerate(zip(pulled, force, strict=True))
         ]
         (folder / f"{number}.csv").write_text("\n".join(["time_s,pulled,force", *rows]) + "\n")
         toml += ["[[trials]]", f'file = "{number}.csv"', f"condition = {{ specimen = {number} }}"]

@@ -36,7 +36,7 @@ def test_a_diagnosis_made_again_stands_first_and_the_earlier_ones_are_kept_in_or
         store(made, tmp_path / FOLDER, page=False)
     assert read_stored(tmp_path)["verdict"] == "no-gap"
     kept = [json.loads((tmp_path / f"gap-{n}" / "diagnosis.json").read_text()) for n in (1, 2)]
-    assert [len(one["causes"]) for one in kept] == [1, 2]
+    assert [len(loads["causes"]) for loads in kept] == [1, 2]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["gap", "gap-1", "gap-2"]
 
 
@@ -51,7 +51,7 @@ def test_a_recording_is_never_written_to(recording, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("said", "name"),
+    ("message", "name"),
     [
         ('experiment = "pendulum"', "pendulum"),
         ("", "ring-down"),
@@ -60,9 +60,11 @@ def test_a_recording_is_never_written_to(recording, tmp_path):
     ],
     ids=["stated", "not stated", "no name of a folder", "no TOML"],
 )
-def test_an_answer_about_a_recording_is_kept_under_the_name_that_it_states(recording, tmp_path, said, name):
+def test_an_answer_about_a_recording_is_kept_under_the_name_that_it_states(
+    recording, tmp_path, message, name
+):
     channel = '[channels.angle]\nkind = "output"\nunit = "rad"\n[[trials]]\nfile = "1.csv"\n'
-    (recording / "recording.toml").write_text(f"{said}\n{channel}")
+    (recording / "recording.toml").write_text(f"{message}\n{channel}")
     for what in ("gap", "fit", "compare"):
         assert kept_folder(recording, tmp_path / "results", what).parent == tmp_path / "results" / name
 
@@ -82,7 +84,7 @@ def test_numbers_that_json_has_no_word_for_become_null(tmp_path):
 
 
 def test_the_object_of_the_contract_is_in_the_file(tmp_path):
-    found = json.loads(store(examples.pair(), tmp_path / FOLDER, page=False).numbers.read_text())
+    loads = json.loads(store(examples.pair(), tmp_path / FOLDER, page=False).numbers.read_text())
     assert {
         "verdict",
         "gap",
@@ -93,13 +95,13 @@ def test_the_object_of_the_contract_is_in_the_file(tmp_path):
         "shrinkage",
         "complete",
         "stopped",
-    } <= set(found)
-    lag = found["causes"][1]
+    } <= set(loads)
+    lag = loads["causes"][1]
     assert lag["indistinguishable_from"][0]["effect"] == lag["rivals"][0]["effect"] == "delay"
     assert lag["refers_to"] == {"order": {"value": 1.0, "unit": "1"}}
-    assert [rung["step"] for rung in found["ladder"]][:2] == ["as stated", "recalibrated"]
-    assert found["ladder"][-1]["errors"]["angle"]["unit"] == "rad"
-    assert found["rest"]["depends_on"] == ["speed of hinge"]
+    assert [rung["step"] for rung in loads["ladder"]][:2] == ["as stated", "recalibrated"]
+    assert loads["ladder"][-1]["errors"]["angle"]["unit"] == "rad"
+    assert loads["rest"]["depends_on"] == ["speed of hinge"]
 
 
 def test_a_run_without_a_diagnosis_is_told_how_to_get_one(tmp_path):

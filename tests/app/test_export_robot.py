@@ -57,14 +57,14 @@ def diagnosed(folder):
         load_model(folder / "model.toml").with_values({"shoulder_damping": 0.3}),
         np.random.default_rng(1),
     )
-    told, time_s = RECORDING, np.arange(0.0, 1.5, 0.02)
+    message, time_s = RECORDING, np.arange(0.0, 1.5, 0.02)
     for number, amplitude in enumerate((0.3, 0.6, 0.9)):
         goal = amplitude * np.sin(2 * np.pi * time_s)
         angle = simulate(model, time_s, goal[:, None], initial_state=[0.0, 0.0]).outputs[:, 0]
         rows = np.column_stack([time_s, goal, angle + 1e-3 * rng.standard_normal(len(angle))])
         np.savetxt(folder / f"{number}.csv", rows, delimiter=",", header="time_s,goal,shoulder", comments="")
-        told += f'[[trials]]\nfile = "{number}.csv"\ncondition = {{ amplitude = {amplitude} }}\n'
-    (folder / "recording.toml").write_text(told)
+        message += f'[[trials]]\nfile = "{number}.csv"\ncondition = {{ amplitude = {amplitude} }}\n'
+    (folder / "recording.toml").write_text(message)
     stored = folder / "diagnosis.json"
     stored.write_text(json.dumps({
         "name": "arm", "verdict": "no-gap", "sentence": "Recalibrated.", "source": str(folder), "causes": [],
@@ -76,10 +76,12 @@ def diagnosed(folder):
 
 def test_ranges_are_fields_of_isaac_lab_and_mjlab(tmp_path):
     made = export_robot(diagnosed(tmp_path), tmp_path / "out.xml", ranges=tmp_path / "ranges.json")
-    found = json.loads(made.ranges.read_text())
-    ranges = {one["array"]: one for one in found["parameters"]}
+    loads = json.loads(made.ranges.read_text())
+    ranges = {parameter["array"]: parameter for parameter in loads["parameters"]}
     assert ranges["dof_damping"]["low"] < 0.3 < ranges["dof_damping"]["high"]
-    isaac = {next(key for key in one["params"] if key.endswith("_params")): one for one in found["isaac_lab"]}
+    isaac = {
+        next(key for key in event["params"] if key.endswith("_params")): event for event in loads["isaac_lab"]
+    }
     damping = isaac["damping_distribution_params"]
     assert damping["func"] == "randomize_actuator_gains"
     assert damping["params"]["asset_cfg"] == {"name": "robot", "joint_names": ["shoulder"]}
@@ -87,7 +89,7 @@ def test_ranges_are_fields_of_isaac_lab_and_mjlab(tmp_path):
         ranges["dof_damping"]["low"], ranges["dof_damping"]["high"],
     ]  # fmt: skip
     assert isaac["mass_distribution_params"]["params"]["asset_cfg"]["body_names"] == ["upper"]
-    mjlab = {one["func"]: one["params"] for one in found["mjlab"]}
+    mjlab = {event["func"]: event["params"] for event in loads["mjlab"]}
     assert mjlab["dr.body_mass"]["asset_cfg"] == {"name": "robot", "body_names": ["upper"]}
     assert mjlab["dr.body_mass"]["operation"] == "abs"
     low, high = mjlab["dr.pd_gains"]["kp_range"]
@@ -104,14 +106,14 @@ def test_of_recordings_that_state_one_name_each_has_its_own_diagnosis(tmp_path):
         kept = results / "arm" / f"gap-{name}"
         kept.mkdir(parents=True)
         stored.rename(kept / "diagnosis.json")
-    told = json.loads((results / "arm" / "gap-first" / "diagnosis.json").read_text())
-    told["corrected"] = {"shoulder_damping": 0.25}
-    (results / "arm" / "gap-first" / "diagnosis.json").write_text(json.dumps(told))
+    loads = json.loads((results / "arm" / "gap-first" / "diagnosis.json").read_text())
+    loads["corrected"] = {"shoulder_damping": 0.25}
+    (results / "arm" / "gap-first" / "diagnosis.json").write_text(json.dumps(loads))
     made = [
         export_robot(tmp_path / name, tmp_path / f"{name}.xml", results=results).file
         for name in ("first", "second")
     ]
-    damping = [float(mujoco.MjModel.from_xml_path(str(one)).dof_damping[0]) for one in made]
+    damping = [float(mujoco.MjModel.from_xml_path(str(file)).dof_damping[0]) for file in made]
     assert damping == pytest.approx([0.25, 0.29])
     (tmp_path / "third").mkdir()
     diagnosed(tmp_path / "third").unlink()
@@ -124,10 +126,10 @@ def test_its_own_diagnosis_comes_before_a_newer_one_of_a_recording_that_is_gone(
     for folder in kept.values():
         folder.mkdir(parents=True)
     (tmp_path / "arm").mkdir()
-    told = json.loads(diagnosed(tmp_path / "arm").read_text())
-    other = {**told, "source": str(tmp_path / "nowhere"), "corrected": {"shoulder_damping": 0.25}}
+    loads = json.loads(diagnosed(tmp_path / "arm").read_text())
+    other = {**loads, "source": str(tmp_path / "nowhere"), "corrected": {"shoulder_damping": 0.25}}
     (kept["torn"] / "diagnosis.json").write_text("{")
-    for age_s, (name, content) in enumerate((("gone", other), ("own", told))):
+    for age_s, (name, content) in enumerate((("gone", other), ("own", loads))):
         numbers = kept[name] / "diagnosis.json"
         numbers.write_text(json.dumps(content))
         os.utime(numbers, (1e9 - age_s, 1e9 - age_s))

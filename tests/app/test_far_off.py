@@ -33,8 +33,8 @@ def imported(tmp_path, arm, factor):
 
 def test_goals_in_another_unit_than_angles_stop_the_diagnosis_and_are_told_by_the_check(tmp_path, arm):
     folder = imported(tmp_path, arm, 20)
-    told = " ".join(check_recording(folder).remarks)
-    assert "times as far off as it moves" in told
+    message = " ".join(check_recording(folder).remarks)
+    assert "times as far off as it moves" in message
     with pytest.raises(RequestError, match=r"shoulder is simulated .* times as far off as it moves") as error:
         require_near(folder)
     assert "--anyway" in error.value.hint

@@ -86,17 +86,19 @@ def test_leaders_are_numbered_best_first_and_the_run_is_named_in_the_stored_file
     lab = bench("lab")
     field = bench("field")
     stored = load_experiment(field.run / "spec.toml").experiment
-    assert [one.model_dump() for one in stored.run.taken_from] == [{"experiment": "lab", "run": lab.run.name}]
+    assert [source.model_dump() for source in stored.run.taken_from] == [
+        {"experiment": "lab", "run": lab.run.name}
+    ]
     assert [condition["gait"] for condition in stored.run.conditions] == [1, 2, 3, 4]
     with open_run(lab.run) as opened:
         fresh = {}
-        for one in opened.outcomes:
-            if one.role == "fresh":
-                fresh.setdefault(one.condition["a"], []).append(one.objectives["thrust"])
+        for outcome in opened.outcomes:
+            if outcome.role == "fresh":
+                fresh.setdefault(outcome.condition["a"], []).append(outcome.objectives["thrust"])
     by_fresh = sorted(fresh, key=lambda a: -sum(fresh[a]))
     assert [condition["a"] for condition in stored.run.conditions][:3] == by_fresh
     with open_run(field.run) as opened:
-        measured = {condition_key(one.condition) for one in opened.outcomes}
+        measured = {condition_key(outcome.condition) for outcome in opened.outcomes}
     assert len(measured) == 4 * 2
 
 
@@ -113,9 +115,9 @@ def test_a_resumed_run_keeps_the_leaders_it_began_with(bench):
     newer = bench("lab", overrides=["sweep.axes.a=[10,15,25,35]"])
     assert newer.finished
     ended = labrun.resume(part.run)
-    with open_run(ended.run) as one, open_run(whole.run) as other:
-        assert [o.condition for o in one.outcomes] == [o.condition for o in other.outcomes]
-        assert [o.objectives for o in one.outcomes] == [o.objectives for o in other.outcomes]
+    with open_run(ended.run) as run, open_run(whole.run) as other:
+        assert [o.condition for o in run.outcomes] == [o.condition for o in other.outcomes]
+        assert [o.objectives for o in run.outcomes] == [o.objectives for o in other.outcomes]
 
 
 @pytest.mark.parametrize(
@@ -145,9 +147,9 @@ def test_a_run_that_did_not_finish_has_no_leaders(bench):
 def test_an_experiment_that_is_not_there_is_told_at_its_place(tmp_path, bench):
     path = tmp_path / "experiments" / "field.toml"
     path.write_text(FIELD.replace('"lab"', '"labb"'))
-    with pytest.raises(SpecError, match=r"field.toml:\d+:\d+: run.conditions.leaders_of") as told:
+    with pytest.raises(SpecError, match=r"field.toml:\d+:\d+: run.conditions.leaders_of") as raises:
         load_experiment(Path(path))
-    assert "unknown name" not in str(told.value)  # what follows from it is not told as well
+    assert "unknown name" not in str(raises.value)  # what follows from it is not told as well
 
 
 def test_an_experiment_that_varies_something_else_altogether_is_told_at_its_place(tmp_path, bench):
@@ -156,9 +158,9 @@ def test_an_experiment_that_varies_something_else_altogether_is_told_at_its_plac
     with pytest.raises(
         SpecError,
         match=r"field.toml:\d+:\d+: run.conditions.leaders_of = .* names a, f; the gait here uses b, g",
-    ) as told:
+    ) as raises:
         load_experiment(Path(path))
-    assert "unknown name" not in str(told.value)
+    assert "unknown name" not in str(raises.value)
 
 
 BESIDE = LAB.replace("count = 3", 'count = 3\nbeside = { leaders_of = "lab", count = 2 }') + (
@@ -171,12 +173,12 @@ def test_leaders_of_another_run_are_measured_among_ones_own(bench, tmp_path):
     (tmp_path / "experiments" / "current.toml").write_text(BESIDE)
     assert check(tmp_path, "current").trials == 2 * 2 + (2 + 2 + 1) * 2
     current = bench("current")
-    guests = [one["a"] for one in leaders_of(lab.run, 2)]
+    guests = [leader["a"] for leader in leaders_of(lab.run, 2)]
     with open_run(current.run) as opened:
-        fresh = [one.condition["a"] for one in opened.outcomes if one.role == "fresh"]
+        fresh = [outcome.condition["a"] for outcome in opened.outcomes if outcome.role == "fresh"]
     assert sorted(fresh) == sorted(2 * [22, 33, *guests])
     stored = load_experiment(current.run / "spec.toml").experiment
-    assert [one.run for one in stored.leaders.taken_from] == [lab.run.name]
+    assert [hidden.run for hidden in stored.leaders.taken_from] == [lab.run.name]
     ranked = labrun.rank(
         ["lab", "current"], str(bench("field").run), objective="thrust", results=tmp_path / "results"
     )

@@ -19,7 +19,7 @@ def run(tmp_path_factory):
 
 def test_conditions_that_the_experiment_calls_repeats_are_not_told_apart(run):
     trials = ask(run, None).dataset.trials
-    assert [dict(one.condition) for one in trials] == [{}, {}, {}]
+    assert [dict(trial.condition) for trial in trials] == [{}, {}, {}]
 
 
 def test_a_model_that_tells_repeats_apart_is_refused(run, tmp_path):

@@ -81,27 +81,27 @@ def bench(tmp_path):
 
 
 def test_an_order_that_holds_names_the_best_gait_and_says_why(bench, tmp_path):
-    found = bench(lambda gait: 10.0 * gait)
-    assert found.name(found.winner) == "gait 1"
-    for column in found.columns:
+    result = bench(lambda gait: 10.0 * gait)
+    assert result.name(result.winner) == "gait 1"
+    for column in result.columns:
         (agreed,) = column.agreements.values()
         assert agreed.tau == pytest.approx(1.0)
         assert agreed.tau_p == pytest.approx(2 / 24)
-    text = ranking_text(found)
+    text = ranking_text(result)
     assert "take gait 1: in its worst water (water = " in text
     assert "exact p" in text
     (stored,) = (tmp_path / "results" / "field").glob("*/ranking.json")
     assert json.loads(stored.read_text())["winner"] == "gait 1"
     named = labrun.rank(["lab"], "field", objective="turning", results=tmp_path / "results")
-    assert named.winner == found.winner
+    assert named.winner == result.winner
     with pytest.raises(RequestError, match="no objective 'turn'"):
         labrun.rank(["lab"], "field", objective="turn", results=tmp_path / "results")
 
 
 def test_an_order_that_does_not_hold_says_so(bench):
-    found = bench(lambda gait: {1: 30.0, 2: 10.0, 3: 20.0, 4: 15.0}[gait])
-    assert found.name(found.winner) == "gait 2"
-    assert "the laboratory's order does not carry over to water = pool" in ranking_text(found)
+    result = bench(lambda gait: {1: 30.0, 2: 10.0, 3: 20.0, 4: 15.0}[gait])
+    assert result.name(result.winner) == "gait 2"
+    assert "the laboratory's order does not carry over to water = pool" in ranking_text(result)
 
 
 def test_a_laboratory_that_measured_other_gaits_is_told(bench, tmp_path):
@@ -109,9 +109,9 @@ def test_a_laboratory_that_measured_other_gaits_is_told(bench, tmp_path):
     path = tmp_path / "other.toml"
     path.write_text(LAB.replace("[20, 30, 40, 50]", "[15, 25]"))
     labrun.run(path, dry_run=True, seed=1, results=tmp_path / "results")
-    found = labrun.rank(["lab", "other"], "field", results=tmp_path / "results")
-    assert any("measured none of the 4 gaits" in note for note in found.notes)
-    assert "no order to compare" in ranking_text(found)
+    result = labrun.rank(["lab", "other"], "field", results=tmp_path / "results")
+    assert any("measured none of the 4 gaits" in note for note in result.notes)
+    assert "no order to compare" in ranking_text(result)
 
 
 def test_a_field_without_a_trial_that_counts_is_refused(bench, tmp_path):

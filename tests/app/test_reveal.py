@@ -121,7 +121,7 @@ def test_a_seal_that_was_changed_is_not_believed(tmp_path):
 
 
 def test_a_script_gets_score_and_truth(tmp_path):
-    found = reveal(run_hiding(tmp_path / "run", TRUTH, says=examples.pair())).to_json()
-    assert found["score"] == "right in part"
-    assert found["hidden"][0]["values"] == {"torque": 1.5e-4}
-    assert found["verdict"] == "partly-explained"
+    results = reveal(run_hiding(tmp_path / "run", TRUTH, says=examples.pair())).to_json()
+    assert results["score"] == "right in part"
+    assert results["hidden"][0]["values"] == {"torque": 1.5e-4}
+    assert results["verdict"] == "partly-explained"

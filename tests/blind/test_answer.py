@@ -46,10 +46,10 @@ def test_what_closes_half_of_the_gap_is_claimed_whatever_the_verdict(verdict: st
 
 
 def test_the_rest_is_the_share_that_is_told_and_nothing_within_the_noise() -> None:
-    told = Answer.of_diagnosis(
+    message = Answer.of_diagnosis(
         diagnosis("mostly-explained", cause(), rest={"within_noise": False, "share_of_gap": 0.23})
     )
-    assert (told.rest, told.tells_rest) == (0.23, True)
+    assert (message.rest, message.tells_rest) == (0.23, True)
     noise = Answer.of_diagnosis(
         diagnosis("explained", cause(), rest={"within_noise": True, "share_of_gap": 0.3})
     )

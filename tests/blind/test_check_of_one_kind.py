@@ -75,14 +75,14 @@ def of_kinds(*kinds: str, reply: Reply = NO_GAP, tools: tuple[Reply, ...] = ()) 
 
 
 def test_all_cases_are_of_that_kind_and_the_folder_remembers_it(checked: Checked) -> None:
-    assert [(one.truth.case, one.truth.kind) for one in checked.judged] == [
+    assert [(judged_joint.truth.case, judged_joint.truth.kind) for judged_joint in checked.judged] == [
         ("case-0004", "control"),
         ("case-0005", "control"),
     ]
     assert json.loads((checked.folder / "asked.json").read_text())["only"] == "control"
-    found = json.loads((checked.folder / "check.json").read_text())
-    assert (found["only"], found["figures"]["kinds"]) == ("control", {"control": 2})
-    assert found["figures"]["controls_blamed"]["of"] == 2
+    loads = json.loads((checked.folder / "check.json").read_text())
+    assert (loads["only"], loads["figures"]["kinds"]) == ("control", {"control": 2})
+    assert loads["figures"]["controls_blamed"]["of"] == 2
 
 
 def test_the_same_call_goes_on_where_it_was(checked: Checked) -> None:
@@ -165,10 +165,10 @@ def test_each_kind_has_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_kinds_are_those_of_the_generator_and_may_be_said_in_the_plural() -> None:
-    told = subprocess.run(
+    result = subprocess.run(
         [sys.executable, str(SHIPPED_GENERATOR), "--help"], capture_output=True, text=True, check=True
     )
-    (choices,) = {part.partition("}")[0] for part in told.stdout.split("--only {")[1:]}
+    (choices,) = {part.partition("}")[0] for part in result.stdout.split("--only {")[1:]}
     assert sorted(choices.replace(" ", "").replace("\n", "").split(",")) == sorted((*KINDS, ROBOT))
     assert [kind_named(f"{kind}s") for kind in KINDS] == list(KINDS)
 

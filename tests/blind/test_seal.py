@@ -67,14 +67,14 @@ def copy_of(friction, tmp_path):
 
 def everything_readable(run):
     """Return all that a person finds who looks at the files, HDF5 attributes and strings included."""
-    found = []
+    results = []
     for path in sorted(run.rglob("*")):
         if path.is_file():
-            found.append(path.read_bytes())
+            results.append(path.read_bytes())
         if path.suffix == ".h5":
             with h5py.File(path) as file:
-                found += _texts(file)
-    return b"\n".join(found)
+                results += _texts(file)
+    return b"\n".join(results)
 
 
 def _texts(file):
@@ -109,24 +109,24 @@ def ids_of(hidden):
 
 
 def test_reveal_tells_what_was_hidden_and_that_nobody_had_looked(copy_of):
-    found = reveal(copy_of)
-    (one,) = found.hidden
-    assert (one.effect, one.site, one.kind) == ("coulomb-friction", "hinge", "joint")
-    assert one.values["torque"] == 4.3217e-4
-    assert one.units["torque"] == "N m"
-    assert found.opened_before == ()
-    assert "coulomb-friction at hinge" in str(one)
+    result = reveal(copy_of)
+    (effect,) = result.hidden
+    assert (effect.effect, effect.site, effect.kind) == ("coulomb-friction", "hinge", "joint")
+    assert effect.values["torque"] == 4.3217e-4
+    assert effect.units["torque"] == "N m"
+    assert result.opened_before == ()
+    assert "coulomb-friction at hinge" in str(effect)
 
 
 def test_a_parameter_can_be_hidden_and_nothing_readable_tells_of_it(tmp_path):
     run = dry_run(tmp_path, ["stiffness=0.0173205"])
     assert b"0.01732" not in everything_readable(run)
-    found = reveal(run)
-    (one,) = found.hidden
-    assert (one.kind, one.effect, one.values) == ("parameter", "stiffness", {"stiffness": 0.0173205})
-    assert "parameter stiffness = 0.01732 N m/rad" in str(one)
+    result = reveal(run)
+    (effect,) = result.hidden
+    assert (effect.kind, effect.effect, effect.values) == ("parameter", "stiffness", {"stiffness": 0.0173205})
+    assert "parameter stiffness = 0.01732 N m/rad" in str(effect)
     plain = dry_run(tmp_path / "plain", ["none"])
-    bent, straight = (_angles(open_run(one))[0] for one in (run, plain))
+    bent, straight = (_angles(open_run(drawn_run))[0] for drawn_run in (run, plain))
     count = min(len(bent), len(straight))
     assert np.abs(bent[:count] - straight[:count]).max() > 0.05
 
@@ -169,19 +169,19 @@ def _checkpoints(run):
 def test_of_what_is_drawn_nothing_is_told_in_the_folder_or_to_the_person(tmp_path):
     progress = Notes()
     run = dry_run(tmp_path, ["random"], progress=progress, hide_seed=2)
-    found = reveal(run)
-    assert found.hidden
+    result = reveal(run)
+    assert result.hidden
     text = everything_readable(run) + "\n".join(progress.told).encode()
-    for word in ids_of(found.hidden):
+    for word in ids_of(result.hidden):
         assert not re.search(rb"(?<![\w-])" + re.escape(word.encode()) + rb"(?![\w-])", text), word
-    assert any(found.sha256[:16] in line for line in progress.told)
+    assert any(result.sha256[:16] in line for line in progress.told)
 
 
 @pytest.mark.parametrize("hide", [["none"], ["coulomb-friction@hinge", "bias@angle"]])
 def test_the_length_of_a_seal_does_not_tell_how_much_it_holds(tmp_path, hide):
-    one = seal(tmp_path, [])
+    first = seal(tmp_path, [])
     hidden = choose_hidden(hide, load_named("hinge", tmp_path, []).experiment, None, [])
-    assert len(seal(tmp_path, hidden).answer) == len(one.answer)
+    assert len(seal(tmp_path, hidden).answer) == len(first.answer)
 
 
 def test_a_run_without_hide_has_nothing_to_reveal(tmp_path):
@@ -193,8 +193,8 @@ def test_a_run_without_hide_has_nothing_to_reveal(tmp_path):
 
 def test_that_nothing_is_hidden_is_an_answer_too(tmp_path):
     run = dry_run(tmp_path, ["none"])
-    found = reveal(run)
-    assert found.hidden == ()
+    result = reveal(run)
+    assert result.hidden == ()
 
 
 def test_what_is_no_run_has_no_seal(tmp_path):
@@ -281,20 +281,20 @@ def drawn(tmp_path_factory):
 def test_the_same_hide_seed_draws_the_same_and_another_something_else(drawn, tmp_path):
     hidden = reveal(dry_run(tmp_path, ["random"], hide_seed=2)).hidden
     assert [(one.effect, one.site, one.values) for one in hidden] == [
-        (one["effect"], one["site"], one["values"]) for one in drawn[2]
+        (hidden["effect"], hidden["site"], hidden["values"]) for hidden in drawn[2]
     ]
-    assert len({json.dumps(one) for one in drawn}) > 1
+    assert len({json.dumps(drawn_run) for drawn_run in drawn}) > 1
 
 
 def test_a_hidden_effect_is_one_of_the_library_at_a_site_of_the_model(drawn):
     known = {(effect.id, effect.kind) for effect in effects()}
-    for one in itertools.chain(*drawn):
-        assert (one["effect"], one["kind"]) in known
-        assert one["site"] in ("hinge", "angle")
+    for hidden in itertools.chain(*drawn):
+        assert (hidden["effect"], hidden["kind"]) in known
+        assert hidden["site"] in ("hinge", "angle")
 
 
 @pytest.mark.parametrize(
-    ("hide", "said"),
+    ("hide", "message"),
     [
         (["coulomb-frction@hinge"], "coulomb-friction"),
         (["coulomb-friction@hing"], 'did you mean "hinge'),
@@ -309,8 +309,8 @@ def test_a_hidden_effect_is_one_of_the_library_at_a_site_of_the_model(drawn):
         (["stiffness=0.02", "none"], "stands alone"),
     ],
 )
-def test_what_cannot_be_hidden_is_refused_before_anything_runs(tmp_path, hide, said):
-    with pytest.raises(RequestError, match=re.escape(said)):
+def test_what_cannot_be_hidden_is_refused_before_anything_runs(tmp_path, hide, message):
+    with pytest.raises(RequestError, match=re.escape(message)):
         dry_run(tmp_path, hide)
     assert not (tmp_path / "results").exists()
 

@@ -35,12 +35,12 @@ def test_a_share_of_nothing_is_no_number() -> None:
 def test_every_confidence_falls_into_one_bin_and_the_error_is_a_share(
     stated: list[tuple[float, bool]],
 ) -> None:
-    found = reliability(stated)
-    assert sum(one.right.of for one in found.bins) == len(stated)
-    assert found.error is not None
-    assert 0.0 <= found.error <= 1.0 + 1e-12
-    for one in found.bins:
-        assert one.low - 1e-9 <= one.stated <= one.high + 1e-9
+    result = reliability(stated)
+    assert sum(calibration_bin.right.of for calibration_bin in result.bins) == len(stated)
+    assert result.error is not None
+    assert 0.0 <= result.error <= 1.0 + 1e-12
+    for calibration_bin in result.bins:
+        assert calibration_bin.low - 1e-9 <= calibration_bin.stated <= calibration_bin.high + 1e-9
 
 
 def test_confidences_that_come_true_as_often_as_they_say_have_no_error() -> None:
@@ -56,8 +56,8 @@ def test_chance_alone_shows_the_error_that_simulated_hits_show() -> None:
         or 0.0
         for row in hits
     ]
-    told = reliability([(confidence, True) for confidence in confidences]).error_by_chance
-    assert told == pytest.approx(np.mean(simulated), abs=0.005)
+    error_by_chance = reliability([(confidence, True) for confidence in confidences]).error_by_chance
+    assert error_by_chance == pytest.approx(np.mean(simulated), abs=0.005)
 
 
 def test_certainties_leave_nothing_to_chance() -> None:

@@ -20,8 +20,8 @@ def _labrun(*arguments: str, cwd=None) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_commands_are_those_of_the_guide():
-    found = " ".join(COMMANDS)
-    assert found == (
+    text = " ".join(COMMANDS)
+    assert text == (
         "check cmaes compare design doctor export fit gap import init keys list new plugins rank report resume run "
         "show sweep track watch"
     )
@@ -60,7 +60,7 @@ def test_the_version_comes_from_the_package():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("sweep", "fin-parms", "--dry-run"), "fin-params"),
         (("sweep", "hinge", "--dry-run"), "labrun run hinge"),
@@ -71,10 +71,10 @@ def test_the_version_comes_from_the_package():
         (("resume",), "results"),
     ],
 )
-def test_a_wrong_request_exits_with_2_and_says_what_would_do(arguments, said, tmp_path):
+def test_a_wrong_request_exits_with_2_and_says_what_would_do(arguments, message, tmp_path):
     done = _labrun(*arguments, cwd=tmp_path)
     assert done.returncode == 2
-    assert said in done.stderr
+    assert message in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "results").exists()
 

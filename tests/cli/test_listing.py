@@ -8,10 +8,10 @@ from forked_labrun import run_labrun
 
 
 def test_list_shows_the_shipped_experiments_by_kind(tmp_path):
-    found = json.loads(run_labrun("list", "--json", cwd=tmp_path).stdout)["experiments"]
-    kinds = {item["name"]: item["kind"] for item in found}
+    experiments = json.loads(run_labrun("list", "--json", cwd=tmp_path).stdout)["experiments"]
+    kinds = {item["name"]: item["kind"] for item in experiments}
     shipped = Path(__file__).parents[2] / "experiments"
-    assert kinds == {one.stem: tomllib.loads(one.read_text())["kind"] for one in shipped.glob("*.toml")}
+    assert kinds == {path.stem: tomllib.loads(path.read_text())["kind"] for path in shipped.glob("*.toml")}
     assert {"run", "sweep", "cmaes", "track", "design"} == set(kinds.values())
 
 
@@ -28,19 +28,19 @@ def test_init_writes_the_shipped_experiments_and_leaves_what_is_there(tmp_path):
 
 
 def test_plugins_are_listed_with_their_origin(tmp_path):
-    found = json.loads(run_labrun("plugins", "--json", cwd=tmp_path).stdout)["plugins"]
-    assert {item["group"] for item in found} >= {
+    plugins = json.loads(run_labrun("plugins", "--json", cwd=tmp_path).stdout)["plugins"]
+    assert {item["group"] for item in plugins} >= {
         "labrun.devices",
         "labrun.gaits",
         "labrun.objectives",
         "labrun.scenes",
     }
-    assert all(item["origin"].startswith("labrun ") and not item["cause"] for item in found)
+    assert all(item["origin"].startswith("labrun ") and not item["cause"] for item in plugins)
 
 
 def test_doctor_reports_clock_disk_ports_and_plugins(tmp_path):
-    found = json.loads(run_labrun("doctor", "--json", cwd=tmp_path).stdout)["findings"]
-    assert {"clock", "disk", "plugins"} <= {item["subject"] for item in found}
+    findings = json.loads(run_labrun("doctor", "--json", cwd=tmp_path).stdout)["findings"]
+    assert {"clock", "disk", "plugins"} <= {item["subject"] for item in findings}
 
 
 def test_a_workspace_made_where_one_is_needs_no_change_of_folder(tmp_path):

@@ -29,14 +29,14 @@ class Plant:
         del self.moves[joint][:-4]
 
     def observe(self, signals, time_s):
-        found = np.zeros((len(time_s), len(signals)))
+        observe = np.zeros((len(time_s), len(signals)))
         for number, joint in enumerate(signals):
             for start_s, times, angles in self.moves[joint]:
                 after = time_s >= start_s
-                found[after, number] = np.interp(time_s[after] - start_s, times, angles)
+                observe[after, number] = np.interp(time_s[after] - start_s, times, angles)
             if joint == "roll":
-                found[:, number] += self.push_rad
-        return found
+                observe[:, number] += self.push_rad
+        return observe
 
     def snapshot(self):
         return {"moves": {joint: [list(move) for move in moves] for joint, moves in self.moves.items()}}

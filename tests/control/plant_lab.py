@@ -50,13 +50,13 @@ def experiment_with(**changes):
     data = tomllib.loads(EXPERIMENT)
     for key, value in changes.items():
         *path, last = key.split("__")
-        place = data
+        setdefault = data
         for part in path:
-            place = place.setdefault(part, {})
+            setdefault = setdefault.setdefault(part, {})
         if value is None:
-            place.pop(last, None)
+            setdefault.pop(last, None)
         else:
-            place[last] = value
+            setdefault[last] = value
     return Experiment.model_validate_json(json.dumps(data))
 
 

@@ -22,13 +22,13 @@ def feedback(plugin, **settings):
 def history(time_s, *columns, tare=None, start_s=0.0, keep_s=10.0, block=None):
     """Feed a history with blocks of `block` samples."""
     channels = {"wrench.x": 0, "wrench.y": 1}
-    found = History(channels, tare or {}, start_s, keep_s)
+    result = History(channels, tare or {}, start_s, keep_s)
     values = np.column_stack([columns[0], columns[-1]])
     size = block or len(time_s)
     for first in range(0, len(time_s), size):
         part = slice(first, first + size)
-        found.take({"wrench": Samples(time_s[part], time_s[part], values[part])})
-    return found
+        result.take({"wrench": Samples(time_s[part], time_s[part], values[part])})
+    return result
 
 
 def test_the_cycle_average_cancels_what_repeats_whatever_the_phase():
@@ -36,16 +36,16 @@ def test_the_cycle_average_cancels_what_repeats_whatever_the_phase():
     for end_s in np.linspace(3.0, 3.0 + period_s, 17):
         time_s = np.arange(0, end_s, 0.001)
         force = 0.25 + 3.0 * np.sin(2 * np.pi * 1.4 * time_s) + 1.0 * np.sin(4 * np.pi * 1.4 * time_s)
-        found = feedback("cycle-average", channel="wrench.x")(history(time_s, force), period_s)
-        assert found == pytest.approx(0.25, abs=1e-4)
+        result = feedback("cycle-average", channel="wrench.x")(history(time_s, force), period_s)
+        assert result == pytest.approx(0.25, abs=1e-4)
 
 
 def test_before_one_cycle_is_over_the_average_is_of_what_there_is():
     time_s = np.linspace(0.0, 0.2, 21)
-    found = feedback("cycle-average", channel="wrench.x")(history(time_s, time_s), 1.0)
-    assert found == pytest.approx(0.1)
-    one = feedback("cycle-average", channel="wrench.x")(history(np.array([0.1]), np.array([7.0])), 1.0)
-    assert one == 7.0
+    result = feedback("cycle-average", channel="wrench.x")(history(time_s, time_s), 1.0)
+    assert result == pytest.approx(0.1)
+    average = feedback("cycle-average", channel="wrench.x")(history(np.array([0.1]), np.array([7.0])), 1.0)
+    assert average == 7.0
 
 
 @given(st.lists(st.floats(0.001, 0.3), min_size=2, max_size=60), st.floats(0.05, 5.0), st.integers(0, 10**6))
@@ -63,10 +63,10 @@ def test_lost_samples_do_not_shift_the_mean():
     time_s = np.arange(0.0, 1.0, 0.01)
     kept = np.ones(len(time_s), dtype=bool)
     kept[40:60] = False
-    found = feedback("moving-average", channel="wrench.x", window_s=0.9)(
+    result = feedback("moving-average", channel="wrench.x", window_s=0.9)(
         history(time_s[kept], time_s[kept]), None
     )
-    assert found == pytest.approx(0.99 - 0.45)
+    assert result == pytest.approx(0.99 - 0.45)
 
 
 def test_scale_length_tare_and_unit_are_those_of_objectives():
@@ -80,9 +80,9 @@ def test_scale_length_tare_and_unit_are_those_of_objectives():
 
 def test_an_angle_can_be_given_in_degrees_and_a_torque_cannot():
     assert feedback("latest", channel="imu.roll", unit="deg").unit == "deg"
-    found = History({"imu.roll": 0}, {}, 0.0, 1.0)
-    found.take({"imu": Samples(np.zeros(1), np.zeros(1), np.array([[np.pi / 6]]))})
-    assert feedback("latest", channel="imu.roll", unit="deg")(found, None) == pytest.approx(30.0)
+    result = History({"imu.roll": 0}, {}, 0.0, 1.0)
+    result.take({"imu": Samples(np.zeros(1), np.zeros(1), np.array([[np.pi / 6]]))})
+    assert feedback("latest", channel="imu.roll", unit="deg")(result, None) == pytest.approx(30.0)
     with pytest.raises(SpecError, match="N m"):
         feedback("latest", channel="wrench.x", unit="deg")
 
@@ -92,8 +92,8 @@ def test_the_magnitude_is_that_of_the_averaged_vector():
     time_s = np.arange(0.0, 2.0, 0.001)
     swing = 10 * np.sin(2 * np.pi * time_s / period_s)
     both = history(time_s, 3.0 + swing, 4.0 - swing)
-    found = feedback("cycle-average", channel="wrench.x", side_channel="wrench.y")(both, period_s)
-    assert found == pytest.approx(5.0, abs=1e-3)
+    result = feedback("cycle-average", channel="wrench.x", side_channel="wrench.y")(both, period_s)
+    assert result == pytest.approx(5.0, abs=1e-3)
 
 
 def test_a_long_recording_in_small_blocks_gives_what_one_block_gives():
@@ -114,14 +114,14 @@ def test_samples_from_before_the_recording_count_only_until_its_first():
 
 
 def test_a_device_with_a_clock_of_its_own_is_placed_on_the_runs_clock():
-    found = History({"wrench.x": 0, "wrench.y": 1}, {}, 50.0, 1.0)
+    result = History({"wrench.x": 0, "wrench.y": 1}, {}, 50.0, 1.0)
     made_s = np.arange(0.0, 1.0, 0.01) + 50.0
     late_s = made_s + 0.004 + np.random.default_rng(1).exponential(0.01, 100)
     for number in range(0, 100, 10):
         part = slice(number, number + 10)
         values = np.zeros((10, 2))
-        found.take({"wrench": Samples(made_s[part] - 1234.0, late_s[part], values)})
-    times = found.recent("wrench.x")[0]
+        result.take({"wrench": Samples(made_s[part] - 1234.0, late_s[part], values)})
+    times = result.recent("wrench.x")[0]
     assert np.all(np.diff(times) >= 0)
     assert times[-1] == pytest.approx(0.99 + 0.004, abs=2e-3)
-    assert found.newest_s(["wrench.x"]) == times[-1]
+    assert result.newest_s(["wrench.x"]) == times[-1]

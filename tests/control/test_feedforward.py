@@ -111,7 +111,7 @@ def test_a_file_that_is_no_fitted_response_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("model", "said"),
+    ("model", "message"),
     [
         ({"lag_s": 1.0}, "needs its gain"),
         ({"gain": 0.0}, "cannot be inverted"),
@@ -120,6 +120,6 @@ def test_a_file_that_is_no_fitted_response_is_refused(tmp_path):
         ({"gain": 1.0, "lag_ms": 3.0}, "lag_s"),
     ],
 )
-def test_a_model_that_cannot_be_inverted_says_why(model, said):
-    with pytest.raises(SpecError, match=said):
+def test_a_model_that_cannot_be_inverted_says_why(model, message):
+    with pytest.raises(SpecError, match=message):
         FeedforwardPid({"model": model}, CONTEXT)

@@ -57,7 +57,7 @@ def test_the_worst_that_a_loop_of_several_may_ask_for_is_checked_before_anything
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (
             {"reference": {"plugin": "constant", "value": 1}},
@@ -66,9 +66,9 @@ def test_the_worst_that_a_loop_of_several_may_ask_for_is_checked_before_anything
         ({"feedback": BOTH["feedback"][0], "reference": BOTH["reference"][0]}, "answers for one number each"),
     ],
 )
-def test_numbers_that_do_not_match_are_refused_before_the_first_trial(tmp_path, change, said):
+def test_numbers_that_do_not_match_are_refused_before_the_first_trial(tmp_path, change, message):
     lab = lab_of(tmp_path, **change)
-    with pytest.raises(SpecError, match=said):
+    with pytest.raises(SpecError, match=message):
         ClosedLoopRecorder(lab.experiment, lab.rig).require_makeable([{"controller": "P"}])
 
 

@@ -19,8 +19,10 @@ TRUE = np.array([[2.0, -1.0], [0.5, 3.0]])
 
 
 def affine(weights, bias=(0.0, 0.0)):
-    one = Scaling(np.zeros(2), np.ones(2))
-    return Network((np.array(weights, dtype=float),), (np.array(bias, dtype=float),), "identity", one, one)
+    scaling = Scaling(np.zeros(2), np.ones(2))
+    return Network(
+        (np.array(weights, dtype=float),), (np.array(bias, dtype=float),), "identity", scaling, scaling
+    )
 
 
 def model(network=None, **changes):
@@ -41,8 +43,8 @@ def step(reference=(1.0, 2.0), time_s=0.0, feedback=(0.0, 0.0), **channels):
 
 
 def test_a_network_says_the_drives_by_their_names():
-    found = NetworkController({"model": model()}, context()).update(step())
-    assert found == pytest.approx((3.0, 5.0))
+    update = NetworkController({"model": model()}, context()).update(step())
+    assert update == pytest.approx((3.0, 5.0))
     turned = NetworkController(
         {"model": model()}, context(components=("b", "a"), drives={"v": "deg", "u": "deg"})
     )
@@ -53,19 +55,19 @@ def test_any_activation_is_computed():
     deep = Network(
         (np.eye(2), np.eye(2)), (np.zeros(2),) * 2, "tanh", affine(TRUE).inputs, affine(TRUE).outputs
     )
-    found = NetworkController({"model": model(deep)}, context()).update(step())
-    assert found == pytest.approx(np.tanh([1.0, 2.0]))
+    update = NetworkController({"model": model(deep)}, context()).update(step())
+    assert update == pytest.approx(np.tanh([1.0, 2.0]))
 
 
 def test_a_network_that_corrects_an_inverse_is_added_to_it():
     added = model(added_to="spm-inverse", inputs={"qw": "1", "qx": "1"})
     loop = context(components=("qw", "qx", "qy", "qz"))
-    found = NetworkController({"model": added}, loop).update(step((1.0, 0.0, 0.0, 0.0)))
-    assert found == pytest.approx((2.0, -1.0))
+    update = NetworkController({"model": added}, loop).update(step((1.0, 0.0, 0.0, 0.0)))
+    assert update == pytest.approx((2.0, -1.0))
 
 
 @pytest.mark.parametrize(
-    ("table", "loop", "said"),
+    ("table", "loop", "message"),
     [
         ({"rig": "other"}, {}, "another rig: other, and this is bench"),
         ({}, {"components": ("a", "c")}, "the loop has no b, which the weights need"),
@@ -73,8 +75,8 @@ def test_a_network_that_corrects_an_inverse_is_added_to_it():
         ({"outputs": {"u": "rad", "v": "rad"}}, {}, "give u in rad, and the loop sets it in deg"),
     ],
 )
-def test_weights_of_something_else_are_refused_in_words(table, loop, said):
-    with pytest.raises(SpecError, match=said):
+def test_weights_of_something_else_are_refused_in_words(table, loop, message):
+    with pytest.raises(SpecError, match=message):
         NetworkController({"model": model(**table)}, context(**loop))
 
 
@@ -109,8 +111,8 @@ def test_a_learner_in_simulated_time_gives_its_weights_as_late_as_it_is_told():
         learner.give(0.0, x[row], y[row])
     assert learner.newest(0.0) is None
     assert learner.newest(0.01) is None
-    found = learner.newest(0.021)
-    np.testing.assert_allclose(found.weights[0], TRUE, atol=1e-5)
+    newest = learner.newest(0.021)
+    np.testing.assert_allclose(newest.weights[0], TRUE, atol=1e-5)
     assert (learner.lag_s, learner.trainings) == (pytest.approx(0.021), 1)
 
 
@@ -137,14 +139,14 @@ def test_a_learner_in_a_process_of_its_own_learns_and_its_death_leaves_the_last_
     try:
         until(learner.ready)
         x, y = samples(60)
-        found = []
+        results = []
         for row in range(60):
             learner.give(0.01 * row, x[row], y[row])
 
         def weights():
             newest = learner.newest(1.0)
-            found.extend([] if newest is None else [newest])
-            return bool(found) and np.allclose(found[-1].weights[0], TRUE, atol=1e-4)
+            results.extend([] if newest is None else [newest])
+            return bool(results) and np.allclose(results[-1].weights[0], TRUE, atol=1e-4)
 
         until(weights)
         assert learner.training_s > 0
@@ -172,8 +174,8 @@ def test_a_controller_that_learns_follows_what_it_measures_and_records_it():
     rad = np.radians(y)
     for row in range(200):
         channels = {"s.u": rad[row, 0], "s.v": rad[row, 1]}
-        found = controller.update(step((1.0, 2.0), 0.01 * row, tuple(x[row]), **channels))
-    assert found == pytest.approx((3.0, 5.0), abs=0.01)
+        update = controller.update(step((1.0, 2.0), 0.01 * row, tuple(x[row]), **channels))
+    assert update == pytest.approx((3.0, 5.0), abs=0.01)
     recorded = controller.recorded()
     assert set(recorded) == set(NetworkController.records(keys))
     assert recorded["trainings"] > 50

@@ -17,12 +17,12 @@ GAINS = st.floats(-100, 100)
 
 def steps(controller, errors, *, dt_s=0.1, drive=0.0, reference=0.0):
     """Feed errors with a constant reference; return the outputs, each applied as it is."""
-    found = []
+    results = []
     for number, error in enumerate(errors):
         step = Step(number * dt_s, dt_s, reference, reference - error, drive, lambda _: reference)
-        found.append(controller.update(step))
-        controller.applied(found[-1])
-    return np.array(found)
+        results.append(controller.update(step))
+        controller.applied(results[-1])
+    return np.array(results)
 
 
 @given(GAINS, GAINS, GAINS, st.lists(st.floats(-10, 10), min_size=1, max_size=20))
@@ -102,13 +102,13 @@ def test_a_closed_loop_of_pi_and_a_lag_is_what_python_control_says(share, lag_s)
     p, i = 2.0, share / lag_s
     decay = math.exp(-period_s / lag_s)
     controller = PidController({"p": p, "i": i}, LoopContext(period_s, -1e9, 1e9, 0.0))
-    state, found = 0.0, []
+    state, result = 0.0, []
     for number in range(200):
-        found.append(state)
+        result.append(state)
         drive = controller.update(Step(number * period_s, period_s, 1.0, state, 0.0, lambda _: 1.0))
         state = decay * state + (1 - decay) * drive
     z = control.TransferFunction([1, 0], [1], period_s)
     plant = control.TransferFunction([1 - decay], [1, -decay], period_s)
     loop = (p + i * period_s * z / (z - 1)) * plant
     _, expected = control.step_response(control.feedback(loop, 1), T=period_s * np.arange(200))
-    np.testing.assert_allclose(found, np.squeeze(expected), atol=1e-9)
+    np.testing.assert_allclose(result, np.squeeze(expected), atol=1e-9)

@@ -87,27 +87,32 @@ def test_candidates_are_ranked_by_how_many_constraints_they_break_and_then_by_ho
     path = paddle(("iterations = 25", "iterations = 8"), ("peak_load < 0.08", "peak_load < 0.03"))
     infeasible, feasible = [], []
     for state in generations(found(path)):
-        for one in state["candidates"]:
-            (feasible if one["feasible"] else infeasible).append((state["generation"], one))
+        for candidate in state["candidates"]:
+            (feasible if candidate["feasible"] else infeasible).append((state["generation"], candidate))
     assert infeasible
     assert feasible
-    for number, one in infeasible:
+    for number, condition in infeasible:
         same = [two for at, two in feasible if at == number]
-        assert all(one["cost"] > two["cost"] for two in same)
+        assert all(condition["cost"] > two["cost"] for two in same)
         for at, two in infeasible:
             if at != number:
                 continue
-            if len(one["violations"]) == len(two["violations"]) and one["violated_by"] < two["violated_by"]:
-                assert one["cost"] < two["cost"]
+            if (
+                len(condition["violations"]) == len(two["violations"])
+                and condition["violated_by"] < two["violated_by"]
+            ):
+                assert condition["cost"] < two["cost"]
 
 
 def test_the_best_is_what_copies_within_the_tolerance_do(paddle):
     path = paddle(("tolerance = 0.5", "tolerance = 20"))
     result = found(path)
     with open_run(result.run) as run:
-        confirming = [one for one in run.outcomes if one.role == "confirm"]
-        assert {tuple(one.condition.items()) for one in confirming} == {tuple(result.best.parameters.items())}
-        values = np.array([one.objectives["distance"] for one in confirming])
+        confirming = [outcome for outcome in run.outcomes if outcome.role == "confirm"]
+        assert {tuple(outcome.condition.items()) for outcome in confirming} == {
+            tuple(result.best.parameters.items())
+        }
+        values = np.array([outcome.objectives["distance"] for outcome in confirming])
     assert len(values) == 5
     assert values.std() > 0
     assert result.best.value == pytest.approx(values.mean())
@@ -140,17 +145,17 @@ def test_a_design_is_handed_on_as_model_sheet_and_drawing(paddle):
 
 
 def test_a_design_is_refused_on_a_bench(paddle):
-    with pytest.raises(RequestError, match="nothing of it runs on a bench") as told:
+    with pytest.raises(RequestError, match="nothing of it runs on a bench") as raises:
         design(paddle(), seed=1)
-    assert "--dry-run" in told.value.hint
+    assert "--dry-run" in raises.value.hint
     assert not Path("results").exists()
 
 
 def test_bounds_that_exclude_each_other_are_told_before_anything_is_written(paddle):
     path = paddle(("length + 0.5 * stroke < 220", "length + 0.5 * stroke < 15"))
-    with pytest.raises(PlanError, match="nothing of the design space can be built") as told:
+    with pytest.raises(PlanError, match="nothing of the design space can be built") as raises:
         found(path)
-    assert "100 % break: length + 0.5 * stroke < 15" in str(told.value)
+    assert "100 % break: length + 0.5 * stroke < 15" in str(raises.value)
     assert not Path("results").exists()
 
 
@@ -158,10 +163,10 @@ def test_a_design_that_cannot_be_simulated_is_told_with_its_reason(paddle):
     path = paddle(("length / 1000", "-length / 1000"))
     with pytest.raises(
         PlanError, match=r"the design cannot be simulated: (.|\n)*x length = .* is outside 0.01"
-    ) as told:
+    ) as raises:
         found(path)
-    assert str(told.value).count("is outside") == 3  # each is another length
-    assert "5 others like these" in str(told.value)
+    assert str(raises.value).count("is outside") == 3  # each is another length
+    assert "5 others like these" in str(raises.value)
 
 
 def test_a_candidate_that_cannot_be_simulated_costs_a_violation_and_ends_nothing(paddle):
@@ -174,15 +179,15 @@ def test_a_candidate_that_cannot_be_simulated_costs_a_violation_and_ends_nothing
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("parameters.length", "parameters.lenght", "design.parameters.lenght: model paddle has no such name"),
         ("peak_load", "peak_laod", 'peak_laod is of no channel'),
         ("joints.angle", "joints.angel", "the model's input angle is no joint of the gait"),
     ],
 )  # fmt: skip
-def test_names_that_the_model_does_not_have_are_told_with_the_nearest(paddle, old, new, told):
-    with pytest.raises(SpecError, match=told):
+def test_names_that_the_model_does_not_have_are_told_with_the_nearest(paddle, old, new, message):
+    with pytest.raises(SpecError, match=message):
         found(paddle((old, new)))
 
 
@@ -235,15 +240,15 @@ def test_a_rig_that_was_written_twice_says_once_which_design_it_is_of(paddle, tm
 def test_a_rig_that_would_be_refused_is_kept_with_the_run_and_the_file_in_use_stays(paddle, tmp_path):
     found(with_rig(paddle, initial="0.7 + 0.1 * f"))
     before = (tmp_path / "rowing.toml").read_text()
-    told = Notes()
+    notes = Notes()
     # at the start of the range, which is looked at beforehand, it would do; rowing's own range ends at 1.2
     path = with_rig(paddle, initial="0.7 + 5 * (f - 0.5)")
-    result = found(path, progress=told)
+    result = found(path, progress=notes)
     assert result.finished
     assert (tmp_path / "rowing.toml").read_text() == before
     assert f"({result.run})" in (result.run / "rowing.toml").read_text()
     assert any(
-        "rowing.toml stays as it is" in line and "is outside 0.6 ... 1.2" in line for line in told.notes
+        "rowing.toml stays as it is" in line and "is outside 0.6 ... 1.2" in line for line in notes.notes
     )
     assert any(line.startswith("rig") and str(result.run) in line for line in result.more)
     assert found(path, seed=5).finished  # and the next design has a template to go by
@@ -255,14 +260,14 @@ def test_show_and_page_of_a_design_tell_what_holds_it_back_and_nothing_of_a_benc
         findings = read_findings(run)
         print_findings(findings)
         page = write_report(findings).read_text(encoding="utf-8")
-    told = " ".join(capsys.readouterr().out.split())
+    message = " ".join(capsys.readouterr().out.split())
     for line in result.more:
         assert html.escape(line.split(maxsplit=1)[1]) in page
-        assert " ".join(line.split()) in told
+        assert " ".join(line.split()) in message
     assert "Drawing to scale" in page
     for words in ("bench time", "Repeatability", "repeatability", "Drift", "jitter", "come to rest"):
         assert words not in page
-        assert words not in told
+        assert words not in message
 
 
 def test_the_rig_of_a_design_keeps_to_the_servos_power_and_the_sides_of_that_design():

@@ -26,8 +26,8 @@ def designed(paddle, tmp_path):
 
 def test_the_promise_is_held_against_the_rig_whichever_is_named_first(designed):
     there, back = (
-        labrun.compare(one, other, tolerance="5%")
-        for one, other in (("design:paddle", f"rig:{designed}"), (f"rig:{designed}", "design:paddle"))
+        labrun.compare(first, other, tolerance="5%")
+        for first, other in (("design:paddle", f"rig:{designed}"), (f"rig:{designed}", "design:paddle"))
     )
     assert (there.comparison.data, there.comparison.prediction) == ("measured", "paddle")
     assert there.comparison.worst.relative == pytest.approx(
@@ -38,14 +38,14 @@ def test_the_promise_is_held_against_the_rig_whichever_is_named_first(designed):
 
 
 @pytest.mark.parametrize(
-    ("one", "other", "said"),
+    ("first", "other", "message"),
     [
         ("design:paddle", "paddle", "one run is the design's, one the rig's"),
         ("design:paddle", None, "one run is the design's, one the rig's"),
         ("design:measured", "rig:paddle", "is no design"),
     ],
 )
-def test_a_role_that_does_not_fit_is_told(designed, one, other, said):
-    one = one.replace("measured", str(designed))
-    with pytest.raises(RequestError, match=said):
-        labrun.compare(one, other)
+def test_a_role_that_does_not_fit_is_told(designed, first, other, message):
+    first = first.replace("measured", str(designed))
+    with pytest.raises(RequestError, match=message):
+        labrun.compare(first, other)

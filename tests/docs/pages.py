@@ -28,8 +28,8 @@ class Block:
     @property
     def file(self) -> str | None:
         """The file it shows, which the reader makes."""
-        found = _TITLE.search(self.info)
-        return found[1] if found else None
+        match = _TITLE.search(self.info)
+        return match[1] if match else None
 
     @property
     def where(self) -> str:
@@ -47,16 +47,16 @@ class Command:
 def blocks(path: Path) -> list[Block]:
     """Return the fenced blocks of a page; a comment ``<!-- no-run: why -->`` before one says why it is not run."""
     text = path.read_text(encoding="utf-8")
-    found = []
+    results = []
     for match in _FENCE.finditer(text):
         line = text[: match.start("language")].count("\n") + 1
         reason = match["reason"]
         if match["info"].strip() == "set-up":
             reason = "makes an environment of its own; the server runs it in a fresh copy"
-        found.append(
+        results.append(
             Block(path.name, line, match["language"], match["info"], textwrap.dedent(match["body"]), reason)
         )
-    return found
+    return results
 
 
 def commands(block: Block) -> list[Command]:
@@ -64,15 +64,15 @@ def commands(block: Block) -> list[Command]:
     lines = block.body.splitlines()
     if block.language == "sh":
         return [Command(line) for line in _joined(lines) if line and not line.startswith("#")]
-    found: list[tuple[str, list[str]]] = []
+    results: list[tuple[str, list[str]]] = []
     for line in _joined(lines):
         if line.startswith("$ "):
-            found.append((line[2:], []))
-        elif found:
-            found[-1][1].append(line)
+            results.append((line[2:], []))
+        elif results:
+            results[-1][1].append(line)
         elif line.strip():
             raise ValueError(f"{block.where}: a console block begins with '$ ', not with {line!r}")
-    return [Command(line, tuple(shown)) for line, shown in found]
+    return [Command(line, tuple(shown)) for line, shown in results]
 
 
 def _joined(lines: list[str]) -> list[str]:

@@ -39,11 +39,11 @@ def test_pictures_are_small():
 
 @pytest.mark.parametrize("effect", EVERY)
 def test_an_effect_shows_in_its_picture_and_differently_at_its_two_sizes(effect):
-    found = effect_signatures.signature(effect)
-    visible = 0.01 * np.ptp(found.bare)
-    first, second = found.outputs
-    for output in found.outputs:
-        assert np.abs(output - found.bare).max() > visible
+    signature = effect_signatures.signature(effect)
+    visible = 0.01 * np.ptp(signature.bare)
+    first, second = signature.outputs
+    for output in signature.outputs:
+        assert np.abs(output - signature.bare).max() > visible
     assert np.abs(first - second).max() > visible
 
 

@@ -141,10 +141,10 @@ class Reader:
         line = self._as_tested(command.line)
         wanted = next((code for words, code in ENDINGS.items() if words in "\n".join(command.shown)), 0)
         done = self._bash(line)
-        said = f"{block.where}: $ {line}\n{done.stdout}\n{done.stderr}"
-        assert done.returncode == wanted, said
+        message = f"{block.where}: $ {line}\n{done.stdout}\n{done.stderr}"
+        assert done.returncode == wanted, message
         missing = unlike(command.shown, done.stdout + "\n" + done.stderr)
-        assert not missing, "shown but not printed:\n" + "\n".join(missing) + "\n\n" + said
+        assert not missing, "shown but not printed:\n" + "\n".join(missing) + "\n\n" + message
 
     def run_python(self) -> None:
         """Run the Python that has come up since the last command, as one program."""

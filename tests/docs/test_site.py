@@ -34,18 +34,18 @@ def _keys():
     return _hook("keys")
 
 
-def _models_within(model: type[BaseModel], found: set[type[BaseModel]]) -> set[type[BaseModel]]:
+def _models_within(model: type[BaseModel], results: set[type[BaseModel]]) -> set[type[BaseModel]]:
     """Return a model and all models that its fields hold."""
-    if model in found:
-        return found
-    found.add(model)
+    if model in results:
+        return results
+    results.add(model)
     waiting = [field.annotation for field in model.model_fields.values()]
     while waiting:
         item = waiting.pop()
         if isinstance(item, type) and issubclass(item, BaseModel):
-            _models_within(item, found)
+            _models_within(item, results)
         waiting += getattr(item, "__args__", ())
-    return found
+    return results
 
 
 def test_every_table_of_the_file_is_explained_key_by_key():

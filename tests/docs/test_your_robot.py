@@ -26,14 +26,14 @@ def test_the_friction_that_the_page_hides_is_found_and_exported(tmp_path, monkey
         if block.language == "python":
             subprocess.run([sys.executable, "-c", block.body], check=True)
     folder = import_log("log.csv", "arm.xml", "recordings/arm").folder
-    found = diagnose_joints(folder, workers=2)
-    assert found.diagnosis.joints[0].diagnosis.causes[0].name.effect.endswith("-friction")
-    assert found.diagnosis.joints[0].diagnosis.causes[0].name.site == "shoulder"
+    joints = diagnose_joints(folder, workers=2)
+    assert joints.diagnosis.joints[0].diagnosis.causes[0].name.effect.endswith("-friction")
+    assert joints.diagnosis.joints[0].diagnosis.causes[0].name.site == "shoulder"
     made = export_robot(folder, Path("corrected.xml"), ranges=Path("ranges.json"))
     ranges = json.loads(Path("ranges.json").read_text())
-    assert {one["params"]["operation"] for one in ranges["isaac_lab"]} == {"abs"}
-    for one in ranges["parameters"]:
-        assert one["low"] <= one["value"] <= one["high"]
+    assert {event["params"]["operation"] for event in ranges["isaac_lab"]} == {"abs"}
+    for parameter in ranges["parameters"]:
+        assert parameter["low"] <= parameter["value"] <= parameter["high"]
     log = np.genfromtxt("log.csv", delimiter=",", names=True)
     errors = {}
     for file in ("arm.xml", made.file):

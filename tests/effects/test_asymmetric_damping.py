@@ -32,8 +32,10 @@ def _speed(push, *effects, start=0.0, **parameters):
 def test_either_direction_has_its_own_coefficient(difference, push):
     """From rest the speed grows as push/coefficient (1 - exp(-coefficient t/mass)), with that of its direction."""
     own = 5.0 + (difference if push > 0 else -difference)
-    found = _speed(push, named("asymmetric-damping", site="carriage", difference=difference))
-    assert found == pytest.approx(push / own * (1 - np.exp(-own * TIME / MASS)), abs=1e-6 * max(1, abs(push)))
+    result = _speed(push, named("asymmetric-damping", site="carriage", difference=difference))
+    assert result == pytest.approx(
+        push / own * (1 - np.exp(-own * TIME / MASS)), abs=1e-6 * max(1, abs(push))
+    )
 
 
 @settings(max_examples=20, deadline=None)
@@ -56,6 +58,6 @@ def test_without_a_difference_nothing_changes():
 def test_a_body_may_lack_linear_drag_and_a_constant_force(coefficient, force):
     drag = named("viscous-damping", "body", "hull", coefficient=coefficient)
     steady = named("constant-force", "body", "hull", force=force)
-    found = _speed(0.0, drag, steady, start=1.0, damping=0.0)
+    result = _speed(0.0, drag, steady, start=1.0, damping=0.0)
     final = force / coefficient
-    assert found == pytest.approx(final + (1.0 - final) * np.exp(-coefficient * TIME / MASS), abs=1e-6)
+    assert result == pytest.approx(final + (1.0 - final) * np.exp(-coefficient * TIME / MASS), abs=1e-6)

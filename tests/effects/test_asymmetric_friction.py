@@ -28,8 +28,8 @@ def _forces(rates, torque, asymmetry, transition_speed=0.01):
     )
     rates = np.asarray(rates, dtype=float)
     time_s = np.arange(len(rates)) * 1e-3
-    found = simulate(PROBE, time_s, rates[:, None], initial_state=[0.0], effects=[friction], substeps=1)
-    return found.outputs[:, 0]
+    result = simulate(PROBE, time_s, rates[:, None], initial_state=[0.0], effects=[friction], substeps=1)
+    return result.outputs[:, 0]
 
 
 def _swing(asymmetry, torque=0.4):
@@ -67,8 +67,8 @@ def test_without_asymmetry_it_is_coulomb_friction():
     time_s = np.linspace(0, 3, 151)
     drive = np.column_stack([5 * np.sin(4 * time_s), np.zeros(151)])
     both = [
-        simulate(MODEL, time_s, drive, effects=[one], substeps=8).outputs
-        for one in (
+        simulate(MODEL, time_s, drive, effects=[case], substeps=8).outputs
+        for case in (
             named("asymmetric-friction", torque=0.7, asymmetry=0.0, transition_speed=0.02),
             named("coulomb-friction", torque=0.7, transition_speed=0.02),
         )
@@ -104,11 +104,11 @@ def test_a_driven_spring_is_displaced_by_the_mean_force(asymmetry):
     friction = named("asymmetric-friction", torque=torque, asymmetry=asymmetry, transition_speed=1e-3)
     time_s = np.arange(0, 20, 0.002)
     drive = np.column_stack([20 * np.sin(2 * np.pi * time_s / period_s), np.zeros(len(time_s))])
-    found = simulate(
+    result = simulate(
         MODEL, time_s, drive, parameters={"damping": 8.0}, initial_state=[0.0, 0.0], effects=[friction], substeps=4
     )  # fmt: skip
     last = round(2 * period_s / 0.002)
-    angle, rate = found.outputs[-last:, 0], found.outputs[-last:, 1]
+    angle, rate = result.outputs[-last:, 0], result.outputs[-last:, 1]
     mean = np.mean(_forces(rate, torque, asymmetry, 1e-3))
     assert np.mean(angle) == pytest.approx(mean / STIFFNESS, rel=0.01)
     assert mean == pytest.approx(-torque * asymmetry, rel=0.03)

@@ -39,7 +39,7 @@ def test_it_is_not_left_out_in_silence(broken):
 
 
 def test_withheld_by_name_it_is_not_imported_and_all_else_is_tried(broken):
-    names = {one.name for one in candidates(model(), SCALES, (broken,))}
+    names = {candidate.name for candidate in candidates(model(), SCALES, (broken,))}
     assert {name.effect for name in names} <= {effect.id for effect in effects(without=(broken,))}
     assert {"coulomb-friction", "delay"} <= {name.effect for name in names}
     assert broken not in {name.effect for name in names}

@@ -35,7 +35,7 @@ def file(tmp_path):
 def test_an_effect_of_a_file_acts_as_its_equation_says(file):
     effect = load_effect(f"{file}:stiction")
     assert effect.states == 1
-    assert [one.name for one in effect.parameters if one.shape] == ["speed"]
+    assert [parameter.name for parameter in effect.parameters if parameter.shape] == ["speed"]
     law = effect.function.python
     z, dz = np.array([0.1]), np.zeros(1)
     force = law(0.0, 0.3, 0.02, 0.0, 0.0, 0.0, np.array([2.0, 0.5, 0.05]), z, dz)

@@ -12,14 +12,17 @@ from labrun.models import parse_model, simulate
 TIME = np.linspace(0, 3, 151)
 DRIVE = np.column_stack([5 * np.sin(4 * TIME) + np.sign(np.sin(2 * TIME)), np.cos(TIME)])
 PLAIN = simulate(MODEL, TIME, DRIVE, substeps=4)
-LABELS = [f"{one.id}-{one.kind}" for one in effects()]
+LABELS = [f"{effect.id}-{effect.kind}" for effect in effects()]
 
 
 @pytest.mark.parametrize("effect", effects(), ids=LABELS)
 @pytest.mark.parametrize("between", ["linear", "hold"])
 def test_an_effect_vanishes_at_its_neutral_value(effect, between):
     model = MODEL.with_between({"torque": between})
-    neutral = [one.starts[0] if one.neutral is None else one.neutral for one in effect.parameters]
+    neutral = [
+        parameter.starts[0] if parameter.neutral is None else parameter.neutral
+        for parameter in effect.parameters
+    ]
     attached = AttachedEffect(effect, SITES[effect.kind], tuple(neutral))
     plain = simulate(model, TIME, DRIVE, substeps=4)
     assert simulate(model, TIME, DRIVE, effects=[attached], substeps=4).outputs == pytest.approx(
@@ -32,12 +35,15 @@ def test_an_effect_shows_from_every_start(effect):
     scale = Scale(
         coordinate=0.3, rate=2.0, acceleration=10.0, force=10.0, signal=5.0 if effect.kind == "input" else 0.3
     )
-    count = max(len(one.starts) for one in effect.parameters)
+    count = max(len(parameter.starts) for parameter in effect.parameters)
     for index in range(count):
-        values = [one.start_values(scale)[min(index, len(one.starts) - 1)] for one in effect.parameters]
-        for one, value in zip(effect.parameters, values, strict=True):
-            low, high = one.bounds(scale)
-            assert low <= value <= high or (one.instead_of and value == 0.0)  # not chosen
+        values = [
+            parameter.start_values(scale)[min(index, len(parameter.starts) - 1)]
+            for parameter in effect.parameters
+        ]
+        for parameter, value in zip(effect.parameters, values, strict=True):
+            low, high = parameter.bounds(scale)
+            assert low <= value <= high or (parameter.instead_of and value == 0.0)  # not chosen
         attached = AttachedEffect(effect, SITES[effect.kind], tuple(values))
         moved = simulate(MODEL, TIME, DRIVE, effects=[attached], substeps=4)
         assert moved.finite
@@ -51,11 +57,11 @@ def test_an_effect_says_what_it_is(effect):
     assert effect.title.endswith(".")
     assert len(effect.form) > 5
     assert len(effect.source) > 20
-    for one in effect.parameters:
-        assert one.unit("rad", "V")
-        assert one.unit("m", "V") != ""
-        assert one.lower < one.upper
-        assert not math.isnan(one.neutral if one.neutral is not None else 0.0)
+    for parameter in effect.parameters:
+        assert parameter.unit("rad", "V")
+        assert parameter.unit("m", "V") != ""
+        assert parameter.lower < parameter.upper
+        assert not math.isnan(parameter.neutral if parameter.neutral is not None else 0.0)
 
 
 def test_units_follow_the_site():

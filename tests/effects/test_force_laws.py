@@ -57,7 +57,7 @@ def _exact(force, inertia=INERTIA):
             lambda q, v: 40 * (0.01 * abs(v) * v - abs(0.1 * v - 0.05) * (0.1 * v - 0.05)),
         ),
     ],
-    ids=lambda one: getattr(getattr(one, "effect", None), "id", ""),
+    ids=lambda case: getattr(getattr(case, "effect", None), "id", ""),
 )
 def test_a_force_law_moves_the_joint_as_scipy_says(effect, force):
     result = simulate(MODEL, TIME, DRIVE, effects=[effect], substeps=64)
@@ -121,7 +121,7 @@ def _exact_with_memory(force, memory, states):
             8,
         ),
     ],
-    ids=lambda one: getattr(getattr(one, "effect", None), "id", ""),
+    ids=lambda case: getattr(getattr(case, "effect", None), "id", ""),
 )
 def test_a_force_law_with_memory_moves_the_joint_as_scipy_says(effect, force, memory, states):
     result = simulate(MODEL, TIME, DRIVE, effects=[effect], substeps=64)
@@ -170,7 +170,7 @@ def test_an_echo_comes_back_one_delay_later(omega):
         named("asymmetric-friction", torque=2.0, asymmetry=0.0, presliding=0.01),
         named("stribeck-friction", torque=2.0, static_excess=0.0, stribeck_speed=0.1, presliding=0.01),
     ],
-    ids=lambda one: one.effect.id,
+    ids=lambda case: case.effect.id,
 )
 def test_bristles_give_way_like_a_softening_spring_before_they_slide(friction):
     """Pushed slowly, the joint gives way by presliding * ln(1 / (1 - push / torque)), and stays there."""
@@ -195,10 +195,10 @@ def test_bristles_shorter_than_a_step_hold_like_a_sharp_sign(presliding):
     """A step goes a thousand times as far: explicit integration would blow up, had the bristles no end."""
     bristles = named("coulomb-friction", torque=1.0, presliding=presliding)
     sign = named("coulomb-friction", torque=1.0, transition_speed=5e-4)
-    one, other = (
+    first, other = (
         simulate(MODEL, TIME, DRIVE, effects=[effect], substeps=256).outputs for effect in (bristles, sign)
     )
-    assert one == pytest.approx(other, abs=2e-3)
+    assert first == pytest.approx(other, abs=2e-3)
 
 
 def test_a_stop_pushes_and_never_pulls():
@@ -310,6 +310,6 @@ def test_outputs_may_show_the_force_an_effect_exerts():
 
 def test_the_damping_of_a_stop_is_a_time_per_coordinate_so_that_force_has_one_unit() -> None:
     stop = named("end-stop").effect
-    damping = next(one for one in stop.parameters if one.name == "damping_time")
+    damping = next(parameter for parameter in stop.parameters if parameter.name == "damping_time")
     assert (damping.unit("rad"), damping.unit("m")) == ("s/rad", "s/m")
     assert damping.bounds(Scale(rate=4.0)) == (0.0, 0.25)

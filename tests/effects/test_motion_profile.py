@@ -85,7 +85,7 @@ def test_a_mass_is_pushed_by_the_mean_of_each_step():
     profile = named("motion-profile", "input", "goal", rate=2.0, ramp_time=0.35)
     coarse = np.arange(0, 4, 0.05)
     goal = np.where(coarse >= 0.5, 1.0, 0.0)[:, None]
-    found = simulate(summed, coarse, goal, effects=[profile], substeps=1, initial_state=[0.0]).outputs[:, 0]
+    result = simulate(summed, coarse, goal, effects=[profile], substeps=1, initial_state=[0.0]).outputs[:, 0]
     # the trapezoid is symmetric about its middle
     middle = 0.5 + (1.0 / 2.0 + 0.35) / 2
-    assert found[-1] == pytest.approx(coarse[-1] - middle, abs=1e-9)
+    assert result[-1] == pytest.approx(coarse[-1] - middle, abs=1e-9)

@@ -45,23 +45,23 @@ def test_a_motor_with_play_moves_as_two_bodies_do():
         return rate, (2 * np.sin(6 * t) - through) / (1.0 - LINK), v, through / LINK
 
     exact = solve_ivp(slope, (0, 3), [0.0] * 4, "RK45", TIME, rtol=1e-7, atol=1e-9, max_step=2e-3).y
-    found = _turning(2 * np.sin(6 * TIME), _gear_play())
-    assert found[:, 0] == pytest.approx(exact[0], abs=2e-3 * np.ptp(exact[0]))
+    turning = _turning(2 * np.sin(6 * TIME), _gear_play())
+    assert turning[:, 0] == pytest.approx(exact[0], abs=2e-3 * np.ptp(exact[0]))
     rigid = simulate(FREE, TIME, 2 * np.sin(6 * TIME)[:, None], substeps=4).outputs[:, 0]
     assert np.max(np.abs(rigid - exact[0])) > 0.02 * np.ptp(exact[0])
 
 
 def test_within_the_play_the_motor_turns_alone():
     torque = np.where(TIME < 0.05, 0.5, 0.0)
-    found = _turning(torque, _gear_play(gap=10.0))
-    assert found[-1, 1] == pytest.approx(np.trapezoid(torque, TIME) / (1.0 - LINK), rel=1e-6)
+    turning = _turning(torque, _gear_play(gap=10.0))
+    assert turning[-1, 1] == pytest.approx(np.trapezoid(torque, TIME) / (1.0 - LINK), rel=1e-6)
 
 
 def test_a_push_is_shared_by_both_bodies_in_the_end():
     """Momentum is conserved through contacts, and what is lost in them leaves one speed for both."""
     torque = np.where(TIME < 0.05, 20.0, 0.0)
-    found = _turning(torque, _gear_play())
-    assert np.mean(found[-200:, 1]) == pytest.approx(np.trapezoid(torque, TIME), rel=0.02)
+    turning = _turning(torque, _gear_play())
+    assert np.mean(turning[-200:, 1]) == pytest.approx(np.trapezoid(torque, TIME), rel=0.02)
 
 
 @settings(max_examples=10, deadline=None)
@@ -90,8 +90,8 @@ def test_a_base_that_gives_way_is_an_elastic_transmission_of_other_numbers(base,
         "elastic-transmission", site="axis", inertia=1.0 / (1.0 + base),
         period=np.sqrt((1.0 + base) / stiffness), damping_ratio=0.0,
     )  # fmt: skip
-    found = simulate(FREE, fine, torque, effects=[elastic], substeps=2).outputs[::10, 0]
-    assert found == pytest.approx(exact, abs=1e-5 * np.ptp(exact))
+    result = simulate(FREE, fine, torque, effects=[elastic], substeps=2).outputs[::10, 0]
+    assert result == pytest.approx(exact, abs=1e-5 * np.ptp(exact))
 
 
 SERVO = """
@@ -138,11 +138,11 @@ def test_a_servo_that_sees_its_own_motor_leaves_its_link_as_a_light_motor_behind
     goal = 0.5 * np.sin(2 * TIME)[:, None]
     model = parse_model(SERVO, "servo.toml")
     play = named("drive-play", site="joint", torque=60 * gap / 2)
-    plain, found = (
+    plain, result = (
         simulate(model, TIME, goal, parameters={"weight": weight}, effects=effects, substeps=4).outputs[:, 0]
         for effects in ([], [play])
     )
-    assert np.sqrt(np.mean((found - exact) ** 2)) < 0.15 * np.sqrt(np.mean((plain - exact) ** 2))
+    assert np.sqrt(np.mean((result - exact) ** 2)) < 0.15 * np.sqrt(np.mean((plain - exact) ** 2))
 
 
 @settings(max_examples=25, deadline=None)
@@ -151,7 +151,7 @@ def test_a_loaded_link_rests_half_of_the_play_further_than_its_servo_lets_it_sin
     model = parse_model(SERVO, "servo.toml")
     play = named("drive-play", site="joint", torque=torque)
     time_s = np.arange(0, 4, 0.01)
-    found = simulate(
+    result = simulate(
         model,
         time_s,
         np.zeros((len(time_s), 1)),
@@ -160,4 +160,4 @@ def test_a_loaded_link_rests_half_of_the_play_further_than_its_servo_lets_it_sin
         substeps=4,
     ).outputs[-1, 0]
     sunk = -side * (weight + torque) / 60.0
-    assert found == pytest.approx(sunk, abs=1e-4)
+    assert result == pytest.approx(sunk, abs=1e-4)

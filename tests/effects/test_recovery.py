@@ -83,11 +83,11 @@ def _integrated(drive, _q, v, own):
 
 def _profiled(goal, own):
     """Return the set-point: towards the goal, braking in time, at up to 1.2 rad/s and 6 rad/s^2."""
-    h, (place, speed) = SAMPLE_S / STEPS, own.get("profile", (goal, 0.0))
-    error = goal - place
+    h, (index, speed) = SAMPLE_S / STEPS, own.get("profile", (goal, 0.0))
+    error = goal - index
     wanted = float(np.clip(np.sign(error) * np.sqrt(12.0 * abs(error)), -1.2, 1.2))
     speed += float(np.clip(wanted - speed, -6.0 * h, 6.0 * h))
-    own["profile"] = (place + h * speed, speed)
+    own["profile"] = (index + h * speed, speed)
     return own["profile"][0]
 
 
@@ -143,7 +143,9 @@ def _fitted(problem, z, candidate):
 @pytest.mark.parametrize("hidden", LOGS)
 def test_the_size_of_what_is_hidden_is_recovered(hidden):
     problem, z = _recalibrated(hidden)
-    (candidate,) = [one for one in candidates(MODEL, site_scales(problem, z)) if one.name.effect == hidden]
+    (candidate,) = [
+        other for other in candidates(MODEL, site_scales(problem, z)) if other.name.effect == hidden
+    ]
     squares, values = _fitted(problem, z, candidate)
     assert squares < 0.2 * problem.squares(z)
     for name, true in LOGS[hidden][3].items():

@@ -48,9 +48,9 @@ def test_an_early_clock_shows_what_the_output_is_that_much_later(lead, substeps)
 @settings(max_examples=25, deadline=None)
 def test_a_held_signal_may_be_stamped_late_by_a_part_of_a_step(lead, substeps):
     held = np.where(TIME >= 1.0, 1.0, 0.0)
-    found = _summed(named("late-clock", "input", "u", lead=lead), held, substeps)
+    result = _summed(named("late-clock", "input", "u", lead=lead), held, substeps)
     tolerance = 1e-9 if substeps == 1 else 0.02 / 30  # as for a delay
-    assert found == pytest.approx(TIME[-1] - 1.0 + lead, abs=tolerance)
+    assert result == pytest.approx(TIME[-1] - 1.0 + lead, abs=tolerance)
 
 
 TWICE = parse_model(
@@ -79,25 +79,25 @@ v = 0.0
 def test_a_jump_within_a_step_pushes_a_mass_as_far_as_it_should(lead, jump_s):
     held = np.where(jump_s - 1e-9 <= TIME, 1.0, 0.0)[:, None]
     late = named("late-clock", "input", "u", lead=lead)
-    found = simulate(TWICE, TIME, held, effects=[late], substeps=1, initial_state=[0.0, 0.0]).outputs[:, 0]
+    result = simulate(TWICE, TIME, held, effects=[late], substeps=1, initial_state=[0.0, 0.0]).outputs[:, 0]
     begins = TIME[np.argmax(held[:, 0])] - lead
-    assert found == pytest.approx(0.5 * np.maximum(TIME - begins, 0.0) ** 2, abs=1e-9)
+    assert result == pytest.approx(0.5 * np.maximum(TIME - begins, 0.0) ** 2, abs=1e-9)
 
 
 @given(lead=st.floats(0.0, 0.1))
 @settings(max_examples=25, deadline=None)
 def test_a_late_clock_shows_what_the_input_is_that_much_later_and_its_last_value_stands(lead):
-    found = _through(named("late-clock", "input", "u", lead=lead))
-    assert found == pytest.approx(np.interp(TIME + lead, TIME, WAVE[:, 0]), abs=1e-9)
+    result = _through(named("late-clock", "input", "u", lead=lead))
+    assert result == pytest.approx(np.interp(TIME + lead, TIME, WAVE[:, 0]), abs=1e-9)
 
 
 def test_filters_around_a_late_clock_act_in_their_order():
     late, delay = named("late-clock", "input", "u", lead=0.05), named("delay", "input", "u", delay=0.05)
     bias = named("bias", "input", "u", offset=1.0)
-    found = simulate(THROUGH, TIME, WAVE, effects=[delay, bias, late], substeps=2).outputs
+    outputs = simulate(THROUGH, TIME, WAVE, effects=[delay, bias, late], substeps=2).outputs
     inside = TIME[-1] > TIME + 0.05
-    assert found[inside, 0] == pytest.approx(WAVE[inside, 0] + 1.0, abs=1e-9)
-    assert np.array_equal(found[:, 1], WAVE[:, 1])
+    assert outputs[inside, 0] == pytest.approx(WAVE[inside, 0] + 1.0, abs=1e-9)
+    assert np.array_equal(outputs[:, 1], WAVE[:, 1])
 
 
 def test_filters_after_an_early_clock_see_what_it_makes():
@@ -200,7 +200,7 @@ def test_a_lag_of_a_step_is_exact():
         (named("bias", "output", "y", offset=0.3), lambda u: u + 0.3),
         (named("saturation", "output", "y", level=0.6), lambda u: np.clip(u, -0.6, 0.6)),
     ],
-    ids=lambda one: getattr(getattr(one, "effect", None), "id", ""),
+    ids=lambda case: getattr(getattr(case, "effect", None), "id", ""),
 )
 def test_a_filter_without_memory_changes_each_value(effect, change):
     result = simulate(THROUGH, TIME, WAVE, effects=[effect], substeps=2).outputs
@@ -217,10 +217,10 @@ def test_filters_of_one_signal_act_in_their_order():
 
 
 def test_a_single_sample_is_filtered_too():
-    one = simulate(
+    simulated = simulate(
         THROUGH, np.zeros(1), np.ones((1, 2)), effects=[named("bias", "input", "u", offset=0.5)], substeps=1
     )
-    assert one.outputs[0] == pytest.approx([1.5, 1.0])
+    assert simulated.outputs[0] == pytest.approx([1.5, 1.0])
     early = named("early-clock", "output", "y", lead=0.1)
     assert simulate(THROUGH, np.zeros(1), np.ones((1, 2)), effects=[early], substeps=1).outputs[
         0

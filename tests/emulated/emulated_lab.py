@@ -48,10 +48,10 @@ def experiment_with(**changes: Any) -> Experiment:
     table = copy.deepcopy(tomllib.loads(EXPERIMENT))
     for key, value in changes.items():
         *path, last = key.split("__")
-        place = table
+        setdefault = table
         for part in path:
-            place = place.setdefault(part, {})
-        place[last] = value
+            setdefault = setdefault.setdefault(part, {})
+        setdefault[last] = value
     return Experiment.model_validate(table)
 
 

@@ -49,14 +49,14 @@ def both(
     ]
 
     def run_of(mode: str):
-        told = ["--limit", str(limit), "--seed", "3", "--results", mode[2:], "--json", *patient, *changes]
-        done = run_labrun(command, experiment, mode, *told, cwd=folder)
+        messages = ["--limit", str(limit), "--seed", "3", "--results", mode[2:], "--json", *patient, *changes]
+        done = run_labrun(command, experiment, mode, *messages, cwd=folder)
         assert done.returncode == 0, done.stderr
         return open_run(folder / json.loads(done.stdout)["run"])
 
     for _ in range(ATTEMPTS):
         emulated = run_of("--emulate")
-        if all(one.late_worst_s < PUNCTUAL_S for one in command_health(emulated.events).values()):
+        if all(pacing.late_worst_s < PUNCTUAL_S for pacing in command_health(emulated.events).values()):
             break
     return emulated, run_of("--dry-run")
 

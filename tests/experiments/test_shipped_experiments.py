@@ -186,9 +186,9 @@ def test_specimens_are_the_sources_number_released_five_times_and_never_changed_
     points = conditions(experiment)
     sizes = [point[size] for point in points]
     assert len(set(sizes)) == count
-    assert all(sizes.count(one) == 5 for one in sizes)
+    assert all(sizes.count(other) == 5 for other in sizes)
     assert all({key: point[key] for key in nominal} == nominal for point in points)
-    changes = sum(one != other for one, other in pairwise(sizes))
+    changes = sum(first != other for first, other in pairwise(sizes))
     assert experiment.sweep.order == "as-listed"
     assert (experiment.trial.repeats.min, experiment.trial.repeats.max) == (1, 1)
     assert changes == count - 1
@@ -221,9 +221,9 @@ def test_every_file_has_a_title_and_states_the_units_of_its_conditions(name):
     assert experiment.title
     numbers = {key for key, value in conditions(experiment)[0].items() if not isinstance(value, str)}
     named = {
-        one
+        block
         for loop in (experiment.track.loops.values() if experiment.track else ())
-        for one in listed(loop.drives)
+        for block in listed(loop.drives)
     }
     by_ending = {name for name in numbers if split_unit(name)[1] is not None}  # `frequency_hz` states its own
     assert numbers - by_ending <= set(experiment.units) <= numbers | named | set(experiment.over)
@@ -238,5 +238,5 @@ def test_the_conditions_of_the_field_are_those_of_the_laboratory(name, laborator
     assert set(field.units) <= set(theirs.units)
 
 
-def listed(one):
-    return [one] if isinstance(one, str) else one
+def listed(block):
+    return [block] if isinstance(block, str) else block

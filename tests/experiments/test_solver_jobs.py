@@ -39,14 +39,14 @@ def solved(tmp_path, name, device, program, *more):
 def test_a_flow_solver_is_held_against_the_flat_plate(tmp_path, tolerance, within):
     few = "sweep.axes={speed_m_s=[0.41], angle_deg=[0, 45, 90]}"
     run = solved(tmp_path, "flat-plate-cfd", "cfd", PLATE, few)
-    found = labrun.compare(run, model="flat-plate", tolerance=tolerance)
-    assert found.within is within
-    assert found.comparison.worst.relative == pytest.approx(0.08 / 1.08, rel=0.02)
+    result = labrun.compare(run, model="flat-plate", tolerance=tolerance)
+    assert result.within is within
+    assert result.comparison.worst.relative == pytest.approx(0.08 / 1.08, rel=0.02)
 
 
 def test_a_finite_element_solver_is_held_against_the_theory_where_it_disagrees_most(tmp_path):
     few = "run.conditions=[{theta_deg=180,arc_mm=25.4,length_mm=6.4},{theta_deg=180,arc_mm=25.4,length_mm=50.8}]"
     run = solved(tmp_path, "curved-beam-fea", "fea", BEAM, few)
-    found = labrun.compare(run, model=shipped_experiments() / "models" / "tape-spring.toml").comparison
-    assert found.worst.condition["length_mm"] == 6.4
-    assert found.worst.predicted == pytest.approx(0.850, abs=5e-4)
+    comparison = labrun.compare(run, model=shipped_experiments() / "models" / "tape-spring.toml").comparison
+    assert comparison.worst.condition["length_mm"] == 6.4
+    assert comparison.worst.predicted == pytest.approx(0.850, abs=5e-4)

@@ -20,9 +20,9 @@ sizes = st.floats(0.1, 10.0)
 
 @given(st.lists(st.tuples(sizes, sizes), min_size=1, max_size=8))
 def test_a_table_is_off_by_the_difference_over_what_was_measured_the_worst_first(rows):
-    points = compared([pair(one, other, row=float(place)) for place, (one, other) in enumerate(rows)])
-    largest = max(one for one, _ in rows)
-    expected = sorted((abs(one - other) / max(one, largest / 20) for one, other in rows), reverse=True)
+    points = compared([pair(first, other, row=float(index)) for index, (first, other) in enumerate(rows)])
+    largest = max(size for size, _ in rows)
+    expected = sorted((abs(first - other) / max(first, largest / 20) for first, other in rows), reverse=True)
     assert [point.relative for point in points] == pytest.approx(expected)
 
 

@@ -22,23 +22,23 @@ def rng(seed=0):
 @given(thrust=st.floats(0.1, 1.0), falls=st.floats(0.0, 2.0), drag=st.floats(2.0, 12.0))
 def test_the_crossing_of_a_falling_line_and_a_drag_is_the_root_of_their_equation(thrust, falls, drag):
     exact = (-falls + np.sqrt(falls**2 + 4 * drag * thrust)) / (2 * drag)
-    one = Measured(SPEEDS, thrust - falls * SPEEDS, (0, 1))
+    measured = Measured(SPEEDS, thrust - falls * SPEEDS, (0, 1))
     other = Measured(SPEEDS, drag * SPEEDS**2, (2,))
-    found = crossing(one, other, rng(), 10)
+    result = crossing(measured, other, rng(), 10)
     if 0.1 < exact < 0.3:
-        assert found.at == pytest.approx(exact, abs=1e-5)
-        assert found.value == pytest.approx(drag * exact**2, rel=1e-3)
-        assert found.ci95 == pytest.approx((exact, exact), abs=1e-5)  # nothing scatters
+        assert result.at == pytest.approx(exact, abs=1e-5)
+        assert result.value == pytest.approx(drag * exact**2, rel=1e-3)
+        assert result.ci95 == pytest.approx((exact, exact), abs=1e-5)  # nothing scatters
     else:
-        assert found is None
+        assert result is None
 
 
 def test_curves_of_different_places_are_crossed_where_both_were_measured():
-    one = Measured(np.linspace(0.0, 0.2, 9), np.linspace(0.0, 0.2, 9), (0, 1))
+    measured = Measured(np.linspace(0.0, 0.2, 9), np.linspace(0.0, 0.2, 9), (0, 1))
     other = Measured(np.linspace(0.1, 0.4, 9), np.full(9, 0.15), (0,))
-    assert crossing(one, other, rng(), 10).at == pytest.approx(0.15, abs=1e-5)
+    assert crossing(measured, other, rng(), 10).at == pytest.approx(0.15, abs=1e-5)
     apart = Measured(np.linspace(0.3, 0.4, 9), np.full(9, 0.15), (0,))
-    assert crossing(one, apart, rng(), 10) is None
+    assert crossing(measured, apart, rng(), 10) is None
 
 
 def _coverage(repeats, runs=80):
@@ -46,9 +46,9 @@ def _coverage(repeats, runs=80):
     places = np.repeat([0.1, 0.15, 0.2, 0.25, 0.3], repeats)
     noise = rng(1)
     for _ in range(runs):
-        one = Measured(places, 0.3 - 0.5 * places + noise.normal(0, 0.02, len(places)), (0, 1))
+        measured = Measured(places, 0.3 - 0.5 * places + noise.normal(0, 0.02, len(places)), (0, 1))
         other = Measured(places, 5 * places**2 + noise.normal(0, 0.02, len(places)), (2,))
-        low, high = crossing(one, other, noise, 150).ci95
+        low, high = crossing(measured, other, noise, 150).ci95
         holds += low <= truth <= high
     return holds / runs
 
@@ -65,16 +65,16 @@ def test_resampling_keeps_trials_at_their_place():
     drawn = curve.resampled(rng(), 500)
     np.testing.assert_allclose(drawn.mean(axis=0), np.repeat([10.0, 20.0, 30.0], 5), atol=0.3)
     of_means = drawn.reshape(500, 3, 5).mean(axis=2).std(axis=0)
-    expected = [curve.y[place : place + 5].std(ddof=1) / np.sqrt(5) for place in (0, 5, 10)]
+    expected = [curve.y[index : index + 5].std(ddof=1) / np.sqrt(5) for index in (0, 5, 10)]
     np.testing.assert_allclose(of_means, expected, rtol=0.15)
 
 
 def test_resamples_that_do_not_cross_open_the_interval_and_are_counted():
     places = np.repeat([1.0, 2.0, 3.0], 4)
     curve = Measured(places, 2.9 - places + rng(3).normal(0, 0.3, 12), (0, 1))
-    found = crossing(curve, 0.05, rng())
-    assert found.open > 0.05
-    assert found.ci95[1] == 3.0
+    result = crossing(curve, 0.05, rng())
+    assert result.open > 0.05
+    assert result.ci95[1] == 3.0
 
 
 class FakeRun:
@@ -119,32 +119,32 @@ def fit(monkeypatch, tmp_path):
 
 
 def test_every_level_has_its_crossing_and_one_is_held_against_the_other(fit):
-    found = fit(one={"objective": "net"}, by="pose", names={"0": "neutral", "1": "least drag"}, gain_at=0.1)
+    result = fit(one={"objective": "net"}, by="pose", names={"0": "neutral", "1": "least drag"}, gain_at=0.1)
     for name, drag in (("at_neutral", 9), ("at_least_drag", 6)):
-        one = found.parameters[name]
-        assert one.value == pytest.approx(np.sqrt(0.25 / drag), abs=0.003)
-        assert one.ci95[0] < one.value < one.ci95[1]
-        assert one.unit == "m/s"
-    drawn = [one for one in found.figure_data().rows[0][0].panels[0].curves if one.bold]
-    assert [tuple(one.x) for one in drawn] == [one.ci95 for one in found.parameters.values()]
-    assert all((one.y == 0.0).all() for one in drawn)
-    (said,) = (one for one in found.findings if "net against neutral" in one)
-    assert 16 < float(said.split("+")[1].split(" ")[0]) < 22  # (0.25 - 0.06) / (0.25 - 0.09)
-    assert "pose" in found.to_text(100)
+        parameter = result.parameters[name]
+        assert parameter.value == pytest.approx(np.sqrt(0.25 / drag), abs=0.003)
+        assert parameter.ci95[0] < parameter.value < parameter.ci95[1]
+        assert parameter.unit == "m/s"
+    drawn = [curve for curve in result.figure_data().rows[0][0].panels[0].curves if curve.bold]
+    assert [tuple(curve.x) for curve in drawn] == [parameter.ci95 for parameter in result.parameters.values()]
+    assert all((curve.y == 0.0).all() for curve in drawn)
+    (message,) = (finding for finding in result.findings if "net against neutral" in finding)
+    assert 16 < float(message.split("+")[1].split(" ")[0]) < 22  # (0.25 - 0.06) / (0.25 - 0.09)
+    assert "pose" in result.to_text(100)
 
 
 def test_a_curve_of_another_run_is_crossed_with_one_of_this(fit):
-    found = fit(
+    result = fit(
         "drag",
         one={"objective": "net", "where": {"pose": 1.0}},
         other={"objective": "net", "experiment": "drag", "powers": [2], "scale": -1},
     )
     # 0.25 - 6 v^2 = 6 v^2
-    assert found.parameters["at"].value == pytest.approx(np.sqrt(0.25 / 12), abs=0.002)
+    assert result.parameters["at"].value == pytest.approx(np.sqrt(0.25 / 12), abs=0.002)
 
 
 @pytest.mark.parametrize(
-    ("keys", "error", "said"),
+    ("keys", "error", "message"),
     [
         ({"one": {"objective": "nett"}}, RequestError, "no objective 'nett'"),
         ({"one": {"objective": "net", "where": {"pose": 7}}}, FitError, "no trial of towed that counts"),
@@ -158,8 +158,8 @@ def test_a_curve_of_another_run_is_crossed_with_one_of_this(fit):
         ),
     ],
 )
-def test_what_cannot_be_crossed_is_told(fit, keys, error, said):
-    with pytest.raises(error, match=said):
+def test_what_cannot_be_crossed_is_told(fit, keys, error, message):
+    with pytest.raises(error, match=message):
         fit(**keys)
 
 

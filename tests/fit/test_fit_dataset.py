@@ -100,11 +100,11 @@ def test_an_imported_recording_gives_the_same_data(recording: Path, model: Model
     imported = load_dataset(import_recording(recording, tmp_path / "results"), model)
     assert imported.kind == "run"
     assert imported.inputs == direct.inputs
-    for one, other in zip(direct.trials, imported.trials, strict=True):
-        np.testing.assert_array_equal(np.diff(one.time_s), np.diff(other.time_s))
-        np.testing.assert_array_equal(one.outputs, other.outputs)
-        np.testing.assert_array_equal(one.inputs, other.inputs)
-        assert one.condition == other.condition
+    for first, other in zip(direct.trials, imported.trials, strict=True):
+        np.testing.assert_array_equal(np.diff(first.time_s), np.diff(other.time_s))
+        np.testing.assert_array_equal(first.outputs, other.outputs)
+        np.testing.assert_array_equal(first.inputs, other.inputs)
+        assert first.condition == other.condition
 
 
 def test_signals_rename_channels(recording: Path) -> None:
@@ -155,7 +155,7 @@ def test_a_commanded_trial_begins_where_the_bench_still_stands_at_its_start_or_a
     tmp_path: Path, model: Model, between: Between, begins_s: float
 ) -> None:
     signals = {"angle": "cameras.angle", "command": "command.tail"}
-    model = replace(model, inputs=tuple(replace(one, between=between) for one in model.inputs))
+    model = replace(model, inputs=tuple(replace(signal, between=between) for signal in model.inputs))
     trial = load_dataset(stored_run(tmp_path, camera_begins_s=-0.193), model, signals).trials[0]
     np.testing.assert_allclose(trial.time_s[:2], [begins_s, 0.007], atol=1e-9)
     np.testing.assert_allclose(trial.inputs[:2, 0], [0.0, 0.007], atol=1e-9)
@@ -189,9 +189,9 @@ def test_a_trial_counts_up_to_where_a_signal_is_greatest_if_something_breaks_the
     broken = replace(
         dataset.trials[0], outputs=np.where(np.arange(12) < 8, dataset.trials[0].outputs.T, 0.0).T
     )
-    found = until_peak(replace(dataset, trials=(broken, dataset.trials[1])), 0)
-    assert [len(trial.time_s) for trial in found.trials] == [8, 12]
-    assert found.notes == ("1 trial counts up to where angle is greatest only",)
+    result = until_peak(replace(dataset, trials=(broken, dataset.trials[1])), 0)
+    assert [len(trial.time_s) for trial in result.trials] == [8, 12]
+    assert result.notes == ("1 trial counts up to where angle is greatest only",)
     saturated = replace(broken, outputs=np.minimum(dataset.trials[0].outputs, 2.0))
     assert until_peak(replace(dataset, trials=(saturated,)), 0).trials == (saturated,)
 
@@ -200,9 +200,9 @@ def test_a_trial_is_cut_and_thinned_as_asked_and_says_so(recording: Path, model:
     dataset = load_dataset(recording, model)
     time_s = dataset.trials[0].time_s
     rate_hz = 1.0 / (time_s[1] - time_s[0])
-    found = thinned(dataset, rate_hz / 3.0, float(time_s[7] - time_s[0]) + 1e-9)
-    np.testing.assert_array_equal(found.trials[0].time_s, time_s[[0, 3, 6]])
-    np.testing.assert_array_equal(found.trials[0].outputs, dataset.trials[0].outputs[[0, 3, 6]])
-    assert "trials were looked at up to" in found.notes[-1]
+    result = thinned(dataset, rate_hz / 3.0, float(time_s[7] - time_s[0]) + 1e-9)
+    np.testing.assert_array_equal(result.trials[0].time_s, time_s[[0, 3, 6]])
+    np.testing.assert_array_equal(result.trials[0].outputs, dataset.trials[0].outputs[[0, 3, 6]])
+    assert "trials were looked at up to" in result.notes[-1]
     same = thinned(dataset, 100.0 * rate_hz).trials[0]
     np.testing.assert_array_equal(same.inputs, dataset.trials[0].inputs)

@@ -28,20 +28,20 @@ def table(channel: str, **keys: object) -> SignalTable:
 
 def test_a_channel_comes_tared_scaled_and_per_length_on_an_even_base(run):
     force = table("wrench.torque_y", scale=-1.0, divide_by_m=0.4)
-    found = load_signals(run, {"force": force}, where={"b_after": 0})
-    (trial,) = found.trials
+    signals = load_signals(run, {"force": force}, where={"b_after": 0})
+    (trial,) = signals.trials
     stored = open_run(run)
-    outcome = next(one for one in stored.outcomes if one.condition["b_after"] == 0)
+    outcome = next(other for other in stored.outcomes if other.condition["b_after"] == 0)
     stream = stored.signals(outcome.index)["wrench"]
     expected = -(stream.column("torque_y") - outcome.tare["wrench.torque_y"]) / 0.4
-    assert found.units == {"force": "N"}
+    assert signals.units == {"force": "N"}
     assert np.ptp(np.diff(trial.time_s)) < 1e-9
     assert trial.values["force"] == pytest.approx(np.interp(trial.time_s, stream.time_s, expected), abs=1e-12)
 
 
 def test_what_the_gait_means_by_a_name_is_a_signal_too(run):
-    found = load_signals(run, {"a": table("gait.a"), "tail": table("command.tail")}, where={"b_after": 0})
-    (trial,) = found.trials
+    signals = load_signals(run, {"a": table("gait.a"), "tail": table("command.tail")}, where={"b_after": 0})
+    (trial,) = signals.trials
     before = trial.time_s < 10.0
     assert np.all(trial.values["a"][before] == 0.0)
     assert np.all(trial.values["a"][~before] == 40.0)
@@ -55,7 +55,7 @@ def test_a_vector_is_averaged_before_its_size_and_direction_are_taken(run):
         "scale": -1.0,
         "average": "cycle",
     }
-    found = load_signals(
+    signals = load_signals(
         run,
         {
             "size": SignalTable.model_validate({"take": "magnitude", **parts}),
@@ -63,17 +63,17 @@ def test_a_vector_is_averaged_before_its_size_and_direction_are_taken(run):
             "forward": table("wrench.torque_y", scale=-1.0, average="cycle"),
         },
     )
-    assert found.units == {"size": "N m", "angle": "deg", "forward": "N m"}
-    for trial in found.trials:
+    assert signals.units == {"size": "N m", "angle": "deg", "forward": "N m"}
+    for trial in signals.trials:
         along = trial.values["size"] * np.cos(np.radians(trial.values["angle"]))
         assert along == pytest.approx(trial.values["forward"], abs=1e-12)
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.integers(1, 50))
 def test_a_trailing_mean_is_the_mean_of_what_has_passed(values, samples):
-    found = trailing_mean(np.array(values), samples)
+    mean = trailing_mean(np.array(values), samples)
     expected = [np.mean(values[max(0, i - samples + 1) : i + 1]) for i in range(len(values))]
-    assert found == pytest.approx(expected, abs=1e-9)
+    assert mean == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -108,8 +108,8 @@ def test_channels_of_a_recording_are_signals_by_their_names(tmp_path):
     time_s = np.arange(50) / 10
     rows = [f"{t},{np.sin(t)},{np.cos(t)}" for t in time_s]
     (folder / "one.csv").write_text("\n".join(["time_s,force,way", *rows]) + "\n")
-    found = load_signals(folder, {"u": table("force", scale=2.0), "y": table("way")}, rate_hz=20.0)
-    (trial,) = found.trials
-    assert found.units == {"u": "N", "y": "m"}
+    signals = load_signals(folder, {"u": table("force", scale=2.0), "y": table("way")}, rate_hz=20.0)
+    (trial,) = signals.trials
+    assert signals.units == {"u": "N", "y": "m"}
     assert len(trial.time_s) == 99
     assert trial.values["u"] == pytest.approx(2 * np.interp(trial.time_s, time_s, np.sin(time_s)))

@@ -17,15 +17,15 @@ STEP = np.where(TIME_S < 2.0, 0.0, 40.0)
 
 
 def trials_of(transfer, rng, *, count=6, noise=0.02, averaged=1):
-    found = []
+    trials = []
     for number in range(count):
         clean = answer(transfer, TIME_S, STEP, hold="constant")
         if averaged > 1:
             clean = trailing_mean(clean, averaged)
         measured = clean + 0.01 * rng.standard_normal() + noise * rng.standard_normal(len(TIME_S))
         used = np.ones(len(TIME_S), dtype=bool)
-        found.append(ResponseTrial(f"trial {number}", TIME_S, STEP, measured, used, averaged, "constant"))
-    return found
+        trials.append(ResponseTrial(f"trial {number}", TIME_S, STEP, measured, used, averaged, "constant"))
+    return trials
 
 
 @given(
@@ -83,11 +83,15 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say():
     for seed in range(14):
         rng = np.random.default_rng(seed)
         fit = fit_transfer(trials_of(truth, rng, count=4), Shape(1, 0), rng=rng, starts=1)
-        for place, (quantity, value) in enumerate(
-            [(lambda one: one.gain, 0.00912), (lambda one: one.lag_s, 0.34), (lambda one: one.dead_s, 0.28)]
+        for index, (quantity, value) in enumerate(
+            [
+                (lambda transfer: transfer.gain, 0.00912),
+                (lambda transfer: transfer.lag_s, 0.34),
+                (lambda transfer: transfer.dead_s, 0.28),
+            ]
         ):
             low, high = fit.estimate(quantity, "").ci95
-            held[place] += low <= value <= high
+            held[index] += low <= value <= high
     assert np.all(held >= 11), held
 
 
@@ -104,9 +108,9 @@ def test_of_a_lag_that_outlasts_the_record_the_least_lag_and_the_slope_are_told(
     assert gain.ci95[0] < slope * lag_s < gain.ci95[1] == np.inf
     low, high = result.parameters["level_gain_over_lag"].ci95
     assert low < slope < high < 1.2 * low
-    (told,) = [one for one in result.warnings if "lag" in one]
-    assert "level: the record is too short to tell the lag" in told
-    assert "gain/lag = 0.0050" in told
+    (message,) = [warning for warning in result.warnings if "lag" in warning]
+    assert "level: the record is too short to tell the lag" in message
+    assert "gain/lag = 0.0050" in message
     assert "inf" in result.to_text()
 
 
@@ -114,7 +118,7 @@ def test_a_lag_that_the_record_tells_has_both_ends_of_its_interval():
     rng = np.random.default_rng(0)
     truth = TransferFunction.first_order(0.5, 100.0, 0.3)
     fit = fit_transfer(trials_of(truth, rng, count=4), Shape(1, 0), rng=rng, starts=1)
-    low, high = fit.estimate(lambda one: one.lag_s, "s").ci95
+    low, high = fit.estimate(lambda transfer: transfer.lag_s, "s").ci95
     assert low < 100.0 < high < 200.0
     assert warnings_of(fit, "level") == []
 
@@ -123,7 +127,7 @@ def test_a_dead_time_at_its_upper_bound_is_told():
     rng = np.random.default_rng(0)
     truth = TransferFunction.first_order(0.01, 0.3, 6.0)
     fit = fit_transfer(trials_of(truth, rng, count=4), Shape(1, 0), rng=rng, starts=1)
-    assert any("dead time ended at its upper bound" in one for one in warnings_of(fit, "level"))
+    assert any("dead time ended at its upper bound" in warning for warning in warnings_of(fit, "level"))
 
 
 def test_an_input_that_never_moves_is_refused():
@@ -136,12 +140,12 @@ def test_an_input_that_never_moves_is_refused():
 
 
 def test_coefficients_survive_toml_and_a_response_is_chosen_by_name():
-    one = TransferFunction.first_order(
+    order = TransferFunction.first_order(
         0.0091, 0.34, 0.28, input_name="gait.a", input_unit="deg", output_unit="N"
     )
     other = TransferFunction((1.0, 2.0), (1.0, 0.3, 4.0), 0.1)
-    assert TransferFunction.from_toml(tomli_w.dumps(one.to_table())) == one
-    text = f"[magnitude]\n{tomli_w.dumps(one.to_table())}\n[angle]\n{tomli_w.dumps(other.to_table())}"
+    assert TransferFunction.from_toml(tomli_w.dumps(order.to_table())) == order
+    text = f"[magnitude]\n{tomli_w.dumps(order.to_table())}\n[angle]\n{tomli_w.dumps(other.to_table())}"
     assert TransferFunction.from_toml(text, "angle") == other
     with pytest.raises(RequestError, match='did you mean "magnitude"'):
         TransferFunction.from_toml(text, "magnitud")

@@ -25,14 +25,14 @@ NEXT_TO_S = 0.01
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory):
-    found = []
+    result = []
     for seed in (1, 3):
         results = tmp_path_factory.mktemp("results")
         loaded = load_named("fin-step", results)
         run = execute(loaded, results=results, dry_run=True, seed=seed, draw=False).run
         keys = fit_plan(run, results).settings_of("fopdt")
-        found.append(make_method("fopdt", keys)(FitJob(run, np.random.default_rng(0))))
-    return found
+        result.append(make_method("fopdt", keys)(FitJob(run, np.random.default_rng(0))))
+    return result
 
 
 def missed_by(estimate, published):
@@ -42,30 +42,30 @@ def missed_by(estimate, published):
 
 def test_the_interval_of_a_dry_run_holds_the_published_number(fitted):
     for name, published in PUBLISHED.items():
-        missed = sorted(missed_by(one.parameters[name], published) for one in fitted)
+        missed = sorted(missed_by(fit_result.parameters[name], published) for fit_result in fitted)
         assert missed[0] == 0.0, name
         assert missed[1] <= (0.05 * abs(published) if name.endswith("gain") else NEXT_TO_S), name
 
 
 def test_a_gain_is_known_well_enough_for_its_interval_to_mean_something(fitted):
-    for one in fitted:
+    for fit_result in fitted:
         for name in ("magnitude_gain", "angle_gain"):
-            low, high = one.parameters[name].ci95
-            assert one.parameters[name].value == pytest.approx(PUBLISHED[name], rel=0.05)
+            low, high = fit_result.parameters[name].ci95
+            assert fit_result.parameters[name].value == pytest.approx(PUBLISHED[name], rel=0.05)
             assert high - low < 0.2 * abs(PUBLISHED[name])
 
 
 def test_lag_and_dead_time_together_are_the_published_delay(fitted):
     """A step tells their sum better than each: what one takes the other gives."""
-    for one in fitted:
+    for fit_result in fitted:
         for response in ("magnitude", "angle"):
             lag, dead = f"{response}_lag", f"{response}_dead_time"
-            found = one.parameters[lag].value + one.parameters[dead].value
-            assert found == pytest.approx(PUBLISHED[lag] + PUBLISHED[dead], abs=0.05)
+            result = fit_result.parameters[lag].value + fit_result.parameters[dead].value
+            assert result == pytest.approx(PUBLISHED[lag] + PUBLISHED[dead], abs=0.05)
 
 
 def test_what_the_step_hardly_tells_apart_is_warned_of_and_nothing_else(fitted):
     """The fin's direction answers within half the cycle that is averaged over; its force takes longer."""
-    for one in fitted:
-        told = [warning for warning in one.warnings if "hardly tell lag from dead time" in warning]
-        assert [warning.partition(":")[0] for warning in told] == ["angle"]
+    for fit_result in fitted:
+        messages = [warning for warning in fit_result.warnings if "hardly tell lag from dead time" in warning]
+        assert [warning.partition(":")[0] for warning in messages] == ["angle"]

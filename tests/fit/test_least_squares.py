@@ -59,10 +59,10 @@ def test_errors_shared_by_a_block_widen_the_interval_beyond_that_of_single_sampl
     values = matrix(["a", "b"])
     groups = np.arange(len(values)) // 500
     noise = 0.05 * rng.standard_normal(groups[-1] + 1)[groups]
-    found = regress(values, values @ np.array([0.009, -0.004]) + noise, groups, rng)
+    regression = regress(values, values @ np.array([0.009, -0.004]) + noise, groups, rng)
     naive = 1.96 * 0.05 * np.sqrt(np.diag(np.linalg.inv(values.T @ values)))
-    assert np.all(found.high - found.low > 5 * naive)
-    assert np.all((found.low < [0.009, -0.004]) & (found.high > [0.009, -0.004]))
+    assert np.all(regression.high - regression.low > 5 * naive)
+    assert np.all((regression.low < [0.009, -0.004]) & (regression.high > [0.009, -0.004]))
 
 
 @pytest.mark.parametrize("term", ["c", "a^", "sin(a)"])
@@ -105,16 +105,16 @@ def modulated(tmp_path_factory):
     ],
 )
 def test_a_stated_coefficient_is_held_against_the_interval(modulated, stated, expected):
-    found = fit(modulated, settings={"stated": {"FF": {"a": stated}}})
-    assert any(expected in sentence for sentence in found.findings)
+    result = fit(modulated, settings={"stated": {"FF": {"a": stated}}})
+    assert any(expected in sentence for sentence in result.findings)
 
 
 def test_a_basket_with_too_few_trials_for_its_aicc_says_so(modulated):
-    found = fit(modulated)
-    (table,) = found.tables
-    place = table.header.index("AICc")
-    assert [row[place] for row in table.rows][-1] == "-"
-    assert any("AICc of {a,a^2,a^3} needs more trials" in sentence for sentence in found.findings)
+    result = fit(modulated)
+    (table,) = result.tables
+    index = table.header.index("AICc")
+    assert [row[index] for row in table.rows][-1] == "-"
+    assert any("AICc of {a,a^2,a^3} needs more trials" in sentence for sentence in result.findings)
 
 
 @pytest.mark.parametrize(("output", "term"), [("SF", "a"), ("FF", "b")])

@@ -142,14 +142,14 @@ def test_derivatives_known_from_nearby_save_most_of_the_simulations() -> None:
     spent = problem.simulations.made - begun_at
     chord = minimise(problem, near, tolerance=1e-4, derivatives=known, secant=True, confirmed=False)
     assert problem.simulations.made - begun_at - spent < 0.4 * spent
-    squares = [np.sum(whole(problem, one) ** 2) for one in (plain, chord)]
+    squares = [np.sum(whole(problem, start) ** 2) for start in (plain, chord)]
     assert squares[1] == pytest.approx(squares[0], rel=1e-3)
 
 
 def test_derivatives_that_mislead_are_taken_anew() -> None:
     problem, z = begun(oscillator())
     wrong = problem.jacobian(z)
-    backwards = [-one for one in wrong.shared], [-one for one in wrong.own]
+    backwards = [-derivatives for derivatives in wrong.shared], [-derivatives for derivatives in wrong.own]
     misled = minimise(problem, z, derivatives=replace(wrong, shared=backwards[0], own=backwards[1]))
     np.testing.assert_allclose(misled, minimise(problem, z), rtol=1e-6, atol=1e-8)
 
@@ -166,7 +166,11 @@ def test_variables_that_do_not_move_are_not_differentiated() -> None:
 def test_a_descent_ends_where_it_would_take_derivatives_more_often_than_it_may() -> None:
     problem, z = begun(oscillator())
     right = problem.jacobian(z)
-    backwards = replace(right, shared=[-one for one in right.shared], own=[-one for one in right.own])
+    backwards = replace(
+        right,
+        shared=[-derivatives for derivatives in right.shared],
+        own=[-derivatives for derivatives in right.own],
+    )
     np.testing.assert_array_equal(minimise(problem, z, derivatives=backwards, renewals=0), z)
     once = minimise(problem, z, derivatives=backwards, secant=True, renewals=1)
     assert problem.squares(once) < 0.5 * problem.squares(z)

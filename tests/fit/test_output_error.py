@@ -54,7 +54,10 @@ x = 0.0
 
 def oscillator(**tolerances: float | str) -> Model:
     model = parse_model(OSCILLATOR, "oscillator.toml")
-    changed = [replace(one, tolerance=tolerances.get(one.name, one.tolerance)) for one in model.parameters]
+    changed = [
+        replace(parameter, tolerance=tolerances.get(parameter.name, parameter.tolerance))
+        for parameter in model.parameters
+    ]
     return replace(model, parameters=tuple(changed))
 
 
@@ -144,8 +147,8 @@ def test_parameters_that_only_occur_as_a_ratio_are_named() -> None:
     dataset = driven(np.random.default_rng(4), 5, noise=0.001, drive=0.0)
     model = oscillator(mass="free")
     result = fit_model(model, dataset, rng=np.random.default_rng(0), starts=2)
-    said = " ".join(result.warnings)
-    assert "mass, stiffness and damping are only determined as ratios to one another" in said
+    message = " ".join(result.warnings)
+    assert "mass, stiffness and damping are only determined as ratios to one another" in message
     low, high = result.parameters["mass"].ci95
     assert high - low > result.parameters["mass"].value
 
@@ -169,10 +172,10 @@ def test_what_moved_is_not_said_to_rest_on_its_stated_value() -> None:
     away = abs(stiffness.value - 34.0) / 3.4
     assert 1.0 < away < 3.0
     assert stiffness.ci95[1] - stiffness.ci95[0] > 2 * 1.96 * 3.4
-    said = [warning for warning in result.warnings if warning.startswith("stiffness")]
-    assert len(said) == 1
-    assert f"moved {away:.1f} standard deviations of its tolerance from the stated 34 N/m" in said[0]
-    assert "the model lacks something" in said[0]
+    messages = [warning for warning in result.warnings if warning.startswith("stiffness")]
+    assert len(messages) == 1
+    assert f"moved {away:.1f} standard deviations of its tolerance from the stated 34 N/m" in messages[0]
+    assert "the model lacks something" in messages[0]
 
 
 def test_strong_data_overrule_a_wrong_stated_value_and_say_so() -> None:
@@ -209,7 +212,8 @@ def test_a_bound_that_holds_a_parameter_back_is_said() -> None:
     bounded = replace(
         model,
         parameters=tuple(
-            replace(one, upper=35.0) if one.name == "stiffness" else one for one in model.parameters
+            replace(parameter, upper=35.0) if parameter.name == "stiffness" else parameter
+            for parameter in model.parameters
         ),
     )
     result = fit_model(
@@ -223,9 +227,9 @@ def test_few_trials_are_said_to_be_few() -> None:
     rng = np.random.default_rng(11)
     three = fit_model(oscillator(), driven(rng, 3, noise=0.01), rng=rng, starts=1)
     assert any("3 trials only" in warning for warning in three.warnings)
-    one = fit_model(oscillator(), driven(rng, 1, noise=0.01), rng=rng, starts=1)
-    assert any("one trial only" in warning for warning in one.warnings)
-    low, high = one.parameters["stiffness"].ci95
+    model = fit_model(oscillator(), driven(rng, 1, noise=0.01), rng=rng, starts=1)
+    assert any("one trial only" in warning for warning in model.warnings)
+    low, high = model.parameters["stiffness"].ci95
     assert low < TRUE["stiffness"] < high
 
 
@@ -338,7 +342,9 @@ def test_nothing_to_fit_is_an_error() -> None:
 
 def test_an_output_of_zeros_is_an_error() -> None:
     dataset = driven(np.random.default_rng(0), 2)
-    silent = replace(dataset, trials=tuple(replace(one, outputs=0 * one.outputs) for one in dataset.trials))
+    silent = replace(
+        dataset, trials=tuple(replace(trial, outputs=0 * trial.outputs) for trial in dataset.trials)
+    )
     with pytest.raises(FitError, match="'position' is zero throughout"):
         fit_model(oscillator(), silent, rng=np.random.default_rng(0))
 

@@ -68,13 +68,13 @@ def test_the_half_rule_reduces_the_published_examples():
         product([-0.3, 1], [0.08, 1]),
         product([2, 1], [1, 1], [0.4, 1], [0.2, 1], [0.05, 1], [0.05, 1], [0.05, 1]),
     )
-    one, two = reduce_order(second, 1), reduce_order(second, 2)
-    assert (one.lag_s, one.dead_s) == pytest.approx((2.5, 1.47), rel=1e-3)
+    order, two = reduce_order(second, 1), reduce_order(second, 2)
+    assert (order.lag_s, order.dead_s) == pytest.approx((2.5, 1.47), rel=1e-3)
     assert (two.lag_s, two.second_lag_s, two.dead_s) == pytest.approx((2.0, 1.2, 0.77), rel=1e-3)
     # E3: 2(15s+1)/((20s+1)(s+1)(0.1s+1)^2)
     third = TransferFunction(product([2.0], [15, 1]), product([20, 1], [1, 1], [0.1, 1], [0.1, 1]))
-    one, two = reduce_order(third, 1), reduce_order(third, 2)
-    assert (one.gain, one.lag_s, one.dead_s) == pytest.approx((1.5, 1.05, 0.15), rel=1e-3)
+    order, two = reduce_order(third, 1), reduce_order(third, 2)
+    assert (order.gain, order.lag_s, order.dead_s) == pytest.approx((1.5, 1.05, 0.15), rel=1e-3)
     assert (two.gain, two.lag_s, two.second_lag_s, two.dead_s) == pytest.approx(
         (1.5, 1, 0.15, 0.05), rel=1e-3
     )
@@ -118,28 +118,28 @@ def test_swinging_plants_are_refused_by_the_half_rule_and_said_so():
 @settings(max_examples=25, deadline=None)
 def test_margins_are_those_of_python_control_without_dead_time(p, i_per_s, lag_s):
     plant = TransferFunction((3.0,), product([lag_s, 1], [0.4, 1], [0.1, 1]))
-    found = margins(Gains(p, i_per_s), OpenLoop(plant))
+    result = margins(Gains(p, i_per_s), OpenLoop(plant))
     s = control.tf("s")
     open_loop = (p + i_per_s / s) * control.tf(plant.numerator, plant.denominator)
     gain, phase, _, omega_pc, omega_gc, _ = control.stability_margins(open_loop)
     closed = control.feedback(open_loop, 1)
-    assert found.stable == bool(np.all(closed.poles().real < 0))
-    assert found.gain == pytest.approx(gain, rel=1e-4)
-    assert found.phase_crossover_rad_s == pytest.approx(omega_pc, rel=1e-4)
-    if found.stable:
-        assert found.phase_deg == pytest.approx(phase, abs=1e-3)
-        assert found.crossover_rad_s == pytest.approx(omega_gc, rel=1e-4)
-        assert found.delay_s == pytest.approx(math.radians(phase) / omega_gc, rel=1e-4)
+    assert result.stable == bool(np.all(closed.poles().real < 0))
+    assert result.gain == pytest.approx(gain, rel=1e-4)
+    assert result.phase_crossover_rad_s == pytest.approx(omega_pc, rel=1e-4)
+    if result.stable:
+        assert result.phase_deg == pytest.approx(phase, abs=1e-3)
+        assert result.crossover_rad_s == pytest.approx(omega_gc, rel=1e-4)
+        assert result.delay_s == pytest.approx(math.radians(phase) / omega_gc, rel=1e-4)
 
 
 def test_an_integral_on_a_dead_time_has_the_margins_of_the_closed_form():
     # L = k exp(-s)/s: crossover k, phase 90 deg - k, oscillates at pi/2 with k = pi/2
     loop = OpenLoop(TransferFunction((1.0,), (1.0,), 1.0))
-    found = margins(Gains(0.0, 0.5), loop)
-    assert found.gain == pytest.approx(math.pi, rel=1e-6)
-    assert found.phase_deg == pytest.approx(90 - math.degrees(0.5), rel=1e-6)
-    assert found.delay_s == pytest.approx((math.pi / 2 - 0.5) / 0.5, rel=1e-6)
-    assert found.crossover_rad_s == pytest.approx(0.5, rel=1e-6)
+    result = margins(Gains(0.0, 0.5), loop)
+    assert result.gain == pytest.approx(math.pi, rel=1e-6)
+    assert result.phase_deg == pytest.approx(90 - math.degrees(0.5), rel=1e-6)
+    assert result.delay_s == pytest.approx((math.pi / 2 - 0.5) / 0.5, rel=1e-6)
+    assert result.crossover_rad_s == pytest.approx(0.5, rel=1e-6)
 
 
 @given(plants, st.sampled_from([None, 20.0, 50.0]), st.floats(0.0, 1.0))
@@ -149,9 +149,9 @@ def test_a_crossover_on_a_frequency_of_the_grid_is_found(plant, rate_hz, share):
     shape = Gains(math.copysign(1.0, plant.gain), i_per_s=1.0 / plant.gain)
     curve = shape.frequency_response(loop.grid_rad_s, loop.step_s) * loop.grid_response
     index = 10 + round(share * (len(curve) // 2))
-    found = margins(shape.scaled(1.0 / abs(curve[index])), loop)
-    assert found.crossover_rad_s >= loop.grid_rad_s[index] * (1 - 1e-6)
-    assert found.phase_deg <= abs(math.degrees(np.angle(-curve[index]))) + 1e-3
+    result = margins(shape.scaled(1.0 / abs(curve[index])), loop)
+    assert result.crossover_rad_s >= loop.grid_rad_s[index] * (1 - 1e-6)
+    assert result.phase_deg <= abs(math.degrees(np.angle(-curve[index]))) + 1e-3
 
 
 @given(
@@ -167,24 +167,24 @@ def test_margins_are_those_of_a_much_denser_curve(lag_s, dead_s, rate_hz, averag
     plant = TransferFunction.first_order(-2.0, lag_s, dead_s)
     loop = OpenLoop(plant, rate_hz, average_s=average_s)
     gains = Gains(share / plant.gain, integral / plant.gain / (plant.lag_s + loop.delay_s))
-    found = margins(gains, loop)
+    result = margins(gains, loop)
     omega = np.linspace(0, min(30.0, np.pi * (rate_hz or np.inf)), 10_001)[1:]
     curve = gains.frequency_response(omega, loop.step_s) * loop.frequency_response(omega)
     negative = np.flatnonzero((np.diff(np.sign(curve.imag)) != 0) & (curve.real[:-1] < 0))
     if len(negative):
-        assert 1.0 / found.gain == pytest.approx(np.max(np.abs(curve[negative])), rel=1e-2)
+        assert 1.0 / result.gain == pytest.approx(np.max(np.abs(curve[negative])), rel=1e-2)
     unit = np.flatnonzero(np.diff(np.sign(np.abs(curve) - 1)) != 0)
     angles = np.abs(np.degrees(np.angle(-curve[unit])))
-    assert (len(unit) == 0) == math.isinf(found.phase_deg)
-    assert len(unit) == 0 or found.phase_deg == pytest.approx(np.min(angles), abs=1.0)
-    assert 1.0 / found.sensitivity == pytest.approx(np.min(np.abs(1 + curve)), abs=1e-2)
+    assert (len(unit) == 0) == math.isinf(result.phase_deg)
+    assert len(unit) == 0 or result.phase_deg == pytest.approx(np.min(angles), abs=1.0)
+    assert 1.0 / result.sensitivity == pytest.approx(np.min(np.abs(1 + curve)), abs=1e-2)
 
 
 def test_an_optimum_bounded_by_its_phase_margin_has_that_phase_margin():
     loop = OpenLoop(TransferFunction.first_order(3.11, 2.88, 0.654), 50.0)
-    found = margins(optimum(loop, "PI", PidFitSettings(phase_margin_deg=45.0)), loop)
-    assert found.phase_deg == pytest.approx(45.0, abs=0.5)
-    assert found.delay_s == pytest.approx(math.radians(found.phase_deg) / found.crossover_rad_s)
+    result = margins(optimum(loop, "PI", PidFitSettings(phase_margin_deg=45.0)), loop)
+    assert result.phase_deg == pytest.approx(45.0, abs=0.5)
+    assert result.delay_s == pytest.approx(math.radians(result.phase_deg) / result.crossover_rad_s)
 
 
 def test_ultimate_gains_of_the_fin_are_the_published_ones():
@@ -247,11 +247,11 @@ def test_a_controller_that_drives_the_wrong_way_is_not_called_stable():
 def test_an_optimum_keeps_the_margins_that_were_asked_for(plant, structure, gain, phase_deg, most, average_s):
     loop = OpenLoop(plant, 20.0, 0.0, average_s)
     wanted = PidFitSettings(gain_margin=gain, phase_margin_deg=phase_deg, max_sensitivity=most)
-    found = margins(optimum(loop, structure, wanted), loop)
-    assert found.stable
-    assert found.gain >= gain
-    assert found.phase_deg >= phase_deg
-    assert most is None or found.sensitivity <= most
+    result = margins(optimum(loop, structure, wanted), loop)
+    assert result.stable
+    assert result.gain >= gain
+    assert result.phase_deg >= phase_deg
+    assert most is None or result.sensitivity <= most
 
 
 def test_an_optimum_has_less_error_than_simc_and_than_its_neighbours():
@@ -384,9 +384,9 @@ def pulse_response(plant, count):
     return response
 
 
-def summary_of(found: Study, others=()):
+def summary_of(result: Study, others=()):
     return summary(
-        FittedPlant("magnitude", MAGNITUDE, FittedData("fin-step", "run", 3), tuple(others)), found
+        FittedPlant("magnitude", MAGNITUDE, FittedData("fin-step", "run", 3), tuple(others)), result
     )
 
 
@@ -415,13 +415,15 @@ def test_chapter_fives_verdict_comes_out(fin):
     best = fin.named(fin.best)
     assert best.structure == "FF-PI"
     assert best.source != "given"
-    given_errors = {one.name: sum(fin.errors[one.name][0.85]) for one in fin.designs if one.source == "given"}
+    given_errors = {
+        design.name: sum(fin.errors[design.name][0.85]) for design in fin.designs if design.source == "given"
+    }
     assert min(given_errors, key=given_errors.get) == "FF-PI"
 
 
 def test_the_toml_file_makes_controllers_that_do_what_was_predicted(fin):
     tables = tomllib.loads(summary_of(fin).files["pid.toml"])["track"]["loops"]["force"]["controllers"]
-    assert set(tables) == {one.name for one in fin.designs if one.source != "given"}
+    assert set(tables) == {design.name for design in fin.designs if design.source != "given"}
     plugins = {"pid": PidController, "feedforward+pid": FeedforwardPid}
     for name, table in tables.items():
         keys = dict(table)
@@ -449,51 +451,51 @@ def test_an_integral_per_sample_is_the_rate_th_of_one_per_second(fin):
 def test_a_margin_lost_within_the_fits_interval_is_told_and_the_design_not_taken():
     others = [TransferFunction.first_order(GAIN * factor, 0.34, 0.28) for factor in np.linspace(0.3, 3.0, 40)]
     keys = {"structure": "P", "method": "optimum", "feedforward": False}
-    found = study(MAGNITUDE, others, PidFitSettings.model_validate(keys), CYCLE_S)
-    told = " ".join(summary_of(found, others).warnings)
-    assert "p-optimum may lose its margin within the fit's 95 % interval" in told
-    assert found.best is None
-    assert "none is recommended" in told
+    result = study(MAGNITUDE, others, PidFitSettings.model_validate(keys), CYCLE_S)
+    message = " ".join(summary_of(result, others).warnings)
+    assert "p-optimum may lose its margin within the fit's 95 % interval" in message
+    assert result.best is None
+    assert "none is recommended" in message
 
 
 @pytest.mark.parametrize("structure", ["P", "PI", "all"])
 @pytest.mark.parametrize("plant", [MAGNITUDE, ANGLE, TransferFunction.first_order(2.0, 3.0, 0.1)])
 def test_without_a_reference_no_design_is_taken_that_overshoots_a_step_by_a_quarter(plant, structure):
-    found = study(plant, (), PidFitSettings(structure=structure), CYCLE_S)
+    result = study(plant, (), PidFitSettings(structure=structure), CYCLE_S)
     # there are such designs, and the least error is that of one of them or near it
-    assert any(one.figures.overshoot > 0.25 for one in found.designs) or structure != "all"
-    assert found.best is None or found.named(found.best).figures.overshoot <= 0.25
+    assert any(design.figures.overshoot > 0.25 for design in result.designs) or structure != "all"
+    assert result.best is None or result.named(result.best).figures.overshoot <= 0.25
 
 
 def test_where_every_design_overshoots_a_step_it_is_said_why_none_is_taken():
     keys = PidFitSettings(structure="P", method="optimum", feedforward=False, gain_margin=1.5)
-    found = study(MAGNITUDE, (), keys, CYCLE_S)
-    assert found.best is None
-    assert any("overshooting a step by more than 25%" in one for one in summary_of(found).warnings)
+    result = study(MAGNITUDE, (), keys, CYCLE_S)
+    assert result.best is None
+    assert any("overshooting a step by more than 25%" in warning for warning in summary_of(result).warnings)
 
 
 def test_margins_that_cannot_be_lost_are_none_and_have_no_interval(fin):
-    margins_ = next(one for one in summary_of(fin).tables if one.title.startswith("margins"))
-    row = next(one for one in margins_.rows if one[0] == "p-simc")
+    margins_ = next(table for table in summary_of(fin).tables if table.title.startswith("margins"))
+    row = next(candidate for candidate in margins_.rows if candidate[0] == "p-simc")
     assert row[3:6] == ("none", "", "none")
-    assert not any("inf ... inf" in cell for one in margins_.rows for cell in one)
+    assert not any("inf ... inf" in cell for row in margins_.rows for cell in row)
 
 
 def test_the_picture_shows_the_recommended_design_those_of_the_file_and_then_the_best(fin):
-    assert [one.name for one in shown_designs(fin)] == [fin.best, *TABLE_5_4]
-    few = replace(fin, designs=tuple(one for one in fin.designs if one.name not in ("PI", "FF-PI")))
+    assert [design.name for design in shown_designs(fin)] == [fin.best, *TABLE_5_4]
+    few = replace(fin, designs=tuple(design for design in fin.designs if design.name not in ("PI", "FF-PI")))
     shown = shown_designs(few)
-    assert [one.name for one in shown[:3]] == [fin.best, "P-109", "FF-P"]
-    rest = sorted(one for name, one in fin.scores.items() if name not in (fin.best, *TABLE_5_4))
-    assert [fin.scores[one.name] for one in shown[3:]] == rest[:2]
-    assert fin.best not in [one.name for one in shown_designs(replace(fin, best=None))[:4]]
+    assert [design.name for design in shown[:3]] == [fin.best, "P-109", "FF-P"]
+    rest = sorted(score for name, score in fin.scores.items() if name not in (fin.best, *TABLE_5_4))
+    assert [fin.scores[design.name] for design in shown[3:]] == rest[:2]
+    assert fin.best not in [design.name for design in shown_designs(replace(fin, best=None))[:4]]
 
 
 def test_an_unstable_controller_is_named_and_left_out_of_the_file():
     keys = {"structure": "PI", "method": "simc", "compare": {"wild": {"p": 400}}}
-    found = study(MAGNITUDE, (), PidFitSettings.model_validate(keys), CYCLE_S)
-    result = summary_of(found)
-    assert any(one.startswith("wild is unstable") for one in result.warnings)
+    values = study(MAGNITUDE, (), PidFitSettings.model_validate(keys), CYCLE_S)
+    result = summary_of(values)
+    assert any(warning.startswith("wild is unstable") for warning in result.warnings)
     assert "wild" not in result.files["pid.toml"]
     assert "wild" in result.to_text()
 
@@ -549,7 +551,7 @@ def fitted_summary(**changes):
         "fopdt",
         "fopdt",
         FittedData("fin-step", "run", 6),
-        {key: one for mine in keys["estimates"].values() for key, one in mine.items()},
+        {key: estimate for mine in keys["estimates"].values() for key, estimate in mine.items()},
         rmse={"a": 0.01},
         warnings=("angle: few trials", "a: noisy because of the angle", "the run was stopped early"),
         **keys,
@@ -560,8 +562,8 @@ def test_a_fitted_response_becomes_a_plant_with_the_resamples_that_settle():
     plant = plant_of(fitted_summary(), "a", 400)
     assert (plant.transfer.gain, plant.transfer.lag_s, plant.transfer.dead_s) == (0.009, 0.34, 0.28)
     assert plant.transfer.gain_unit == "N/deg"
-    assert [one.dead_s for one in plant.plants] == [0.26, 0.30]
-    assert [one.dead_s for one in plant_of(fitted_summary(), "a", 1).plants] == [0.26]
+    assert [other.dead_s for other in plant.plants] == [0.26, 0.30]
+    assert [plant.dead_s for plant in plant_of(fitted_summary(), "a", 1).plants] == [0.26]
 
 
 @pytest.mark.parametrize(
@@ -573,14 +575,14 @@ def test_a_plant_has_the_numbers_and_warnings_of_its_own_response_only(response,
     assert set(plant.parameters) == {parameter}
     assert warning in plant.warnings
     assert "the run was stopped early" in plant.warnings
-    assert sum(one.startswith(("a:", "angle:")) for one in plant.warnings) == 1
+    assert sum(other.startswith(("a:", "angle:")) for other in plant.warnings) == 1
 
 
 def test_a_response_without_resamples_is_a_plant_and_says_so():
     plant = plant_of(fitted_summary(), "angle", 50)
     assert plant.transfer.order == 2
     assert plant.plants == ()
-    assert any("no resampled plants" in one for one in plant.warnings)
+    assert any("no resampled plants" in warning for warning in plant.warnings)
 
 
 def test_a_response_that_was_not_fitted_is_named_with_the_nearest():

@@ -22,9 +22,9 @@ def fitted(folder: Path, model_text: str | None = None, *, starts: int = 5) -> F
     [("ring-down", 6, 1834), ("xl330-servo", 16, 1200), ("emps", 4, 1553), ("silverbox", 4, 4096)],
 )
 def test_every_recording_is_read(recordings: Path, name: str, trials: int, samples: int) -> None:
-    found = read_recording(recordings / name)
-    assert len(found.trials) == trials
-    assert all(abs(len(trial.time_s) - samples) <= 1 for trial in found.trials)
+    recording = read_recording(recordings / name)
+    assert len(recording.trials) == trials
+    assert all(abs(len(trial.time_s) - samples) <= 1 for trial in recording.trials)
 
 
 def test_the_ring_down_follows_its_model_to_a_few_milliradians(recordings: Path) -> None:

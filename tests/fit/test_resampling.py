@@ -36,8 +36,8 @@ def test_intervals_cover_the_truth_about_95_times_in_100(
         information, pulls = linear_trials(rng, trials, size, unequal, scatter)
         estimate = np.linalg.solve(information.sum(axis=0), pulls.sum(axis=0))
         score = pulls - information @ estimate
-        found = resample_trials(information, score, rng=rng, resamples=400)
-        covered.append((estimate + found.low <= 0.0) & (estimate + found.high >= 0.0))
+        resampled = resample_trials(information, score, rng=rng, resamples=400)
+        covered.append((estimate + resampled.low <= 0.0) & (estimate + resampled.high >= 0.0))
     assert 0.90 <= float(np.mean(covered)) <= 0.985
 
 
@@ -45,10 +45,10 @@ def test_many_equal_trials_give_the_standard_error_of_the_mean() -> None:
     rng = np.random.default_rng(1)
     values = rng.normal(size=200)
     score = (values - values.mean())[:, None]
-    found = resample_trials(np.ones((200, 1, 1)), score, rng=rng, resamples=8000)
+    trials = resample_trials(np.ones((200, 1, 1)), score, rng=rng, resamples=8000)
     expected = stats.t.ppf(0.975, 199) * values.std(ddof=1) / np.sqrt(200)
-    assert found.high[0] == pytest.approx(expected, rel=0.05)
-    assert found.low[0] == pytest.approx(-expected, rel=0.05)
+    assert trials.high[0] == pytest.approx(expected, rel=0.05)
+    assert trials.low[0] == pytest.approx(-expected, rel=0.05)
 
 
 def test_what_only_the_prior_knows_keeps_the_prior_width() -> None:
@@ -56,10 +56,10 @@ def test_what_only_the_prior_knows_keeps_the_prior_width() -> None:
     information = np.zeros((6, 2, 2))
     information[:, 0, 0] = 1e4
     score = np.zeros((6, 2))
-    found = resample_trials(information, score, rng=rng, prior_sigma=np.array([np.inf, 0.1]), resamples=8000)
+    trials = resample_trials(information, score, rng=rng, prior_sigma=np.array([np.inf, 0.1]), resamples=8000)
     student = stats.t.ppf(0.975, 5) / 1.96
-    assert found.high[1] == pytest.approx(1.96 * 0.1 * student, rel=0.05)
-    assert found.high[0] == pytest.approx(0.0, abs=1e-12)
+    assert trials.high[1] == pytest.approx(1.96 * 0.1 * student, rel=0.05)
+    assert trials.high[0] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_units_of_the_parameters_change_nothing_but_the_units() -> None:

@@ -58,16 +58,16 @@ def test_a_recording_is_fitted_into_the_results_and_left_untouched(recording: Pa
     assert result.figure is not None
     assert result.figure.read_bytes().startswith(b"\x89PNG")
     assert result.figure.parent.parent == tmp_path / "results" / "pendulum"
-    found = json.loads(json.dumps(result.to_json(), allow_nan=False))
-    assert set(found) == {"parameters", "rmse", "figure", "warnings"}
-    assert set(found["parameters"]) == {"gravity_torque", "damping"}
-    gravity = found["parameters"]["gravity_torque"]
+    loads = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    assert set(loads) == {"parameters", "rmse", "figure", "warnings"}
+    assert set(loads["parameters"]) == {"gravity_torque", "damping"}
+    gravity = loads["parameters"]["gravity_torque"]
     assert set(gravity) == {"value", "ci95", "unit"}
     assert gravity["ci95"][0] <= gravity["value"] <= gravity["ci95"][1]
     assert gravity["value"] == pytest.approx(0.06, rel=1e-3)
-    assert found["rmse"]["angle"] == pytest.approx(1e-3, rel=0.1)
+    assert loads["rmse"]["angle"] == pytest.approx(1e-3, rel=0.1)
     assert (
-        json.loads((result.figure.parent / "pendulum.json").read_text())["parameters"] == found["parameters"]
+        json.loads((result.figure.parent / "pendulum.json").read_text())["parameters"] == loads["parameters"]
     )
 
 
@@ -156,11 +156,11 @@ def test_numbers_are_printed_with_the_digits_their_interval_supports(
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [("hinge-map", "did you mean 'hinge-maps'"), ("nonsense", "fits: .*fopdt.*models: .*hinge-pendulum")],
 )
 def test_a_name_that_is_neither_fit_nor_model_is_told_both(
-    recording: Path, tmp_path: Path, name: str, said: str
+    recording: Path, tmp_path: Path, name: str, message: str
 ) -> None:
-    with pytest.raises(RequestError, match=rf"no fit or model '{name}'\n.*{said}"):
+    with pytest.raises(RequestError, match=rf"no fit or model '{name}'\n.*{message}"):
         fit(recording, model=name, results=tmp_path)

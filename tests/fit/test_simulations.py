@@ -11,8 +11,8 @@ import pytest
 from labrun.fit.simulations import stop_if_told, workers
 
 
-def endless(begun: threading.Event) -> None:
-    begun.set()
+def endless(event: threading.Event) -> None:
+    event.set()
     while True:
         stop_if_told()
 
@@ -28,26 +28,26 @@ def interruptible() -> Iterator[None]:
 @pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_ends_work_that_would_never_end() -> None:
     def work(number: int) -> None:
-        begun = threading.Event()
+        event = threading.Event()
         if number == 0:
             signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
-        endless(begun)
+        endless(event)
 
     with pytest.raises(KeyboardInterrupt), workers(2) as each:
         each(work, range(8))
-    left = [one for one in threading.enumerate() if one.name.startswith("ThreadPoolExecutor")]
-    for one in left:  # a thread that was being started at that moment is nobody's, and ends by itself
-        one.join(30.0)
-    assert not any(one.is_alive() for one in left)
+    left = [thread for thread in threading.enumerate() if thread.name.startswith("ThreadPoolExecutor")]
+    for thread in left:  # a thread that was being started at that moment is nobody's, and ends by itself
+        thread.join(30.0)
+    assert not any(thread.is_alive() for thread in left)
 
 
 def test_an_error_of_one_item_ends_the_others() -> None:
-    begun = threading.Event()
+    event = threading.Event()
 
     def work(number: int) -> None:
         if number == 1:
-            endless(begun)
-        begun.wait()
+            endless(event)
+        event.wait()
         raise ValueError("no")
 
     with pytest.raises(ValueError, match="no"), workers(2) as each:
@@ -67,7 +67,7 @@ def test_the_main_thread_is_never_told_to_stop() -> None:
 def test_work_inside_of_work_is_done_without_waiting_for_another_thread() -> None:
     """As many waiting as there are threads would wait for ever."""
     with workers(2) as each:
-        sums = each(lambda start: sum(each(lambda one: start + one, range(10))), range(4))
+        sums = each(lambda start: sum(each(lambda step: start + step, range(10))), range(4))
     assert sums == [45, 55, 65, 75]
 
 
@@ -94,7 +94,7 @@ def test_what_inner_work_gave_is_let_go_while_the_outer_work_goes_on() -> None:
         for _ in range(20):
             each(inner, range(4))
         gc.collect()
-        return sum(one() is not None for one in tuple(kept))
+        return sum(reference() is not None for reference in tuple(kept))
 
     with workers(2) as each:
         alive = each(outer, range(6))

@@ -21,13 +21,13 @@ TIME_S = np.arange(0.0, 10.0, 0.02)
 
 
 def trials_of(transfer, rng, count=4, noise=0.02):
-    found = []
+    trials = []
     for number in range(count):
         given_ = np.cumsum(rng.standard_normal(len(TIME_S))) * 0.2
         clean = answer(transfer, TIME_S, given_)
         measured = clean + noise * rng.standard_normal(len(TIME_S))
-        found.append(ResponseTrial(f"trial {number}", TIME_S, given_, measured, TIME_S >= 0))
-    return found
+        trials.append(ResponseTrial(f"trial {number}", TIME_S, given_, measured, TIME_S >= 0))
+    return trials
 
 
 @given(speed=st.floats(1, 20), damping=st.floats(0.05, 2), zero=st.sampled_from([-0.5, 0.0, 0.5]))
@@ -59,7 +59,7 @@ def test_the_interval_of_the_gain_holds_the_truth_about_as_often_as_it_says():
     for seed in range(10):
         rng = np.random.default_rng(seed)
         fit = fit_transfer(trials_of(truth, rng), Shape(2, 0, dead_time=False), rng=rng, starts=1)
-        low, high = fit.estimate(lambda one: one.gain, "").ci95
+        low, high = fit.estimate(lambda transfer: transfer.gain, "").ci95
         held += low <= 1.5 <= high
     assert held >= 8
 
@@ -69,15 +69,17 @@ def test_a_pole_that_a_zero_cancels_is_warned_of():
     fit = fit_transfer(
         trials_of(TransferFunction((1.0,), (0.3, 1.0)), rng, count=2), Shape(2, 1, dead_time=False), rng=rng
     )
-    assert any("nearly cancel" in one or "do not determine" in one for one in warnings_of(fit, "y"))
+    assert any(
+        "nearly cancel" in warning or "do not determine" in warning for warning in warnings_of(fit, "y")
+    )
 
 
 def test_what_is_simulated_leaves_what_the_search_minimised_with_poles_far_apart():
     # the free answers of such poles differ by rounding only, and late samples see next to nothing of them
     rng = np.random.default_rng(3)
     trials = [
-        replace(one, used=TIME_S >= 3.0)
-        for one in trials_of(TransferFunction.first_order(-0.8, 0.3), rng, count=2, noise=0.1)
+        replace(trial, used=TIME_S >= 3.0)
+        for trial in trials_of(TransferFunction.first_order(-0.8, 0.3), rng, count=2, noise=0.1)
     ]
     fit = fit_transfer(trials, Shape(2, 0, dead_time=False, initial="free"), rng=rng)
     assert sum(float(part @ part) for part in fit.residuals()) == pytest.approx(fit.point.squares, rel=1e-3)
@@ -87,7 +89,8 @@ def test_what_is_simulated_leaves_what_the_search_minimised_with_poles_far_apart
 def test_the_picture_shows_an_answer_from_where_it_is_fitted_on():
     rng = np.random.default_rng(0)
     trials = [
-        replace(one, used=TIME_S >= 3.0) for one in trials_of(TransferFunction((1.5,), (0.04, 0.2, 1.0)), rng)
+        replace(trial, used=TIME_S >= 3.0)
+        for trial in trials_of(TransferFunction((1.5,), (0.04, 0.2, 1.0)), rng)
     ]
     fit = fit_transfer(trials, Shape(2, 0, dead_time=False, initial="free"), rng=rng, starts=1)
     overlay = response_figure({"force": fit}, "a fit").rows[0][0].panels[0]
@@ -108,15 +111,15 @@ def test_in_the_comparison_of_orders_a_fit_that_did_not_converge_is_marked_and_n
         Shape(2, 0, dead_time=False),
         rng=rng,
     )
-    table, said = compare_orders(fit, "y")
+    table, messages = compare_orders(fit, "y")
     assert not any("converge" in cell for row in table.rows for cell in row)
-    assert not any("converge" in one for one in said)
+    assert not any("converge" in message for message in messages)
     # the same fit, said to have left far more: as if its search had stopped on its way
     stuck = replace(fit, point=replace(fit.point, squares=1e4 * fit.point.squares))
-    table, said = compare_orders(stuck, "y")
+    table, messages = compare_orders(stuck, "y")
     own = next(row for row in table.rows if "this one" in row[0])
     assert own[-1] == "did not converge"
-    assert any("y: this order left more than a smaller one" in one for one in said)
+    assert any("y: this order left more than a smaller one" in message for message in messages)
 
 
 def test_more_zeros_than_poles_are_refused():

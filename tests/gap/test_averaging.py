@@ -28,7 +28,7 @@ def test_repeats_sampled_at_other_instants_are_one_unit_and_their_mean_is_the_mo
     quiet = recorded(conditions=CONDITIONS[:1], noise=0.0)
     first, *others = quiet.trials
     apart = replace(
-        quiet, trials=(first, *(shifted(one, by) for one, by in zip(others, (0.003, 0.006), strict=True)))
+        quiet, trials=(first, *(shifted(index, by) for index, by in zip(others, (0.003, 0.006), strict=True)))
     )
     (unit,) = averaged(apart, pendulum()).trials
     assert unit.count == 3
@@ -41,12 +41,14 @@ def test_long_repeats_that_lost_a_few_samples_are_one_unit():
     dataset = recorded(conditions=CONDITIONS[:1])
     samples = np.arange(10_000)
 
-    def long(one, lost):
+    def long(trial, lost):
         left = np.delete(samples, 1050 + 1000 * np.arange(lost))  # one here and there
-        inputs, outputs = (np.resize(values[:100], (10_000, 1))[left] for values in (one.inputs, one.outputs))
-        return replace(one, time_s=0.01 * left, inputs=inputs, outputs=outputs)
+        inputs, outputs = (
+            np.resize(values[:100], (10_000, 1))[left] for values in (trial.inputs, trial.outputs)
+        )
+        return replace(trial, time_s=0.01 * left, inputs=inputs, outputs=outputs)
 
-    trials = tuple(long(one, lost) for one, lost in zip(dataset.trials, (0, 5, 8), strict=True))
+    trials = tuple(long(trial, lost) for trial, lost in zip(dataset.trials, (0, 5, 8), strict=True))
     (unit,) = averaged(replace(dataset, trials=trials), pendulum()).trials
     assert unit.count == 3
 

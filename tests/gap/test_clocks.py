@@ -44,7 +44,7 @@ def jumped(at: int, by_s: float = 3.0) -> np.ndarray:
 
 def test_a_trial_in_which_time_jumps_is_left_out_with_file_line_and_length() -> None:
     checked = with_sound_clocks(dataset(trial(even(), file="a.csv"), trial(jumped(101), file="b.csv")))
-    assert [one.file for one in checked.dataset.trials] == [Path("a.csv")]
+    assert [other.file for other in checked.dataset.trials] == [Path("a.csv")]
     assert "1 trial was left out" in checked.limitations[0]
     assert "b.csv:103 (3.02 s)" in checked.limitations[0]  # sample 102 stands below a header line
     assert checked.notes == ("b.csv:103: time goes on by 3.02 s; the usual step is 0.02 s",)
@@ -100,18 +100,18 @@ def test_a_repeat_whose_clock_runs_at_another_rate_is_named_with_what_to_do() ->
     slow = trial(1.02 * even(), repeat=2, file="slow.csv")
     checked = with_sound_clocks(dataset(trial(even()), slow, trial(even(), repeat=3)))
     assert len(checked.dataset.trials) == 3
-    (said,) = checked.limitations
-    assert "slow.csv (+2.0 %)" in said
-    assert "f = 1.0" not in said  # the others are right
-    assert "take the trials out" in said
+    (message,) = checked.limitations
+    assert "slow.csv (+2.0 %)" in message
+    assert "f = 1.0" not in message  # the others are right
+    assert "take the trials out" in message
 
 
 def test_of_two_repeats_that_disagree_either_may_be_wrong() -> None:
-    (said,) = with_sound_clocks(
+    (message,) = with_sound_clocks(
         dataset(trial(even()), trial(1.02 * even(), repeat=2, file="slow.csv"))
     ).limitations
-    assert "f = 1.0 (-2.0 %)" in said
-    assert "slow.csv (+2.0 %)" in said
+    assert "f = 1.0 (-2.0 %)" in message
+    assert "slow.csv (+2.0 %)" in message
 
 
 def test_other_conditions_may_be_sampled_at_another_rate() -> None:
@@ -124,8 +124,8 @@ def test_a_jump_does_not_make_the_diagnosis_rule_out_what_is_there() -> None:
     times = data.trials[3].time_s.copy()
     times[200:] += 3.0
     trials = (*data.trials[:3], replace(data.trials[3], time_s=times), *data.trials[4:])
-    found = diagnose_dataset(replace(data, trials=trials), pendulum(), Options(places=False))
-    assert str(found.causes[0].name) == "coulomb-friction at hinge"
-    assert found.trials == 8
-    assert any("time jumps there" in one for one in found.limitations)
-    assert any("time goes on by 3.01 s" in one for one in found.notes)
+    diagnosis = diagnose_dataset(replace(data, trials=trials), pendulum(), Options(places=False))
+    assert str(diagnosis.causes[0].name) == "coulomb-friction at hinge"
+    assert diagnosis.trials == 8
+    assert any("time jumps there" in limitation for limitation in diagnosis.limitations)
+    assert any("time goes on by 3.01 s" in note for note in diagnosis.notes)

@@ -47,44 +47,46 @@ def friction(torque):
 
 
 def test_a_stiffness_that_differs_is_named_with_its_change_and_the_rest_is_bounded(plain):
-    found = compared(plain, unit(2, stiffness=1.1 * STIFFNESS))
-    (only,) = found.differing
+    points = compared(plain, unit(2, stiffness=1.1 * STIFFNESS))
+    (only,) = points.differing
     assert only.parameter == "stiffness"
     assert only.change.low < 0.1 * STIFFNESS < only.change.high
-    assert found.share > 0.95
-    same = {one.parameter: one for one in found.differences if one.verdict == "same"}
+    assert points.share > 0.95
+    same = {
+        difference.parameter: difference for difference in points.differences if difference.verdict == "same"
+    }
     assert same["damping"].change.low < 0.0 < same["damping"].change.high
-    text = units_text(found)
+    text = units_text(points)
     assert "parameter stiffness differs" in text.splitlines()[0]
     assert "kg m^2" in text
 
 
 def test_friction_that_one_unit_alone_has_is_named_with_its_unit(plain):
-    found = compared(plain, unit(2, extra=friction(1.5e-3)))
-    assert {one.name.effect for one in found.differing} <= {
+    points = compared(plain, unit(2, extra=friction(1.5e-3)))
+    assert {difference.name.effect for difference in points.differing} <= {
         "coulomb-friction",
         "stribeck-friction",
         "presliding-friction",
     }
-    assert found.differing[0].first == 0.0
-    assert found.differing[0].second == pytest.approx(1.5e-3, rel=0.1)
-    assert found.differing[0].change.low < 1.5e-3 < found.differing[0].change.high
+    assert points.differing[0].first == 0.0
+    assert points.differing[0].second == pytest.approx(1.5e-3, rel=0.1)
+    assert points.differing[0].change.low < 1.5e-3 < points.differing[0].change.high
 
 
 @pytest.mark.slow
 def test_the_size_of_an_effect_that_the_model_carries_is_compared():
     carried = MODEL + '[[effects]]\neffect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = 1e-3 }\n'
     first, second = unit(1, extra=friction(1e-3)), unit(2, extra=friction(1.4e-3))
-    found = compared(first, second, carried)
-    (only,) = found.differing
+    points = compared(first, second, carried)
+    (only,) = points.differing
     assert (only.name.effect, only.parameter) == ("coulomb-friction", "torque")
     assert only.second / only.first == pytest.approx(1.4, rel=0.1)
 
 
 @pytest.mark.slow
 def test_friction_that_both_units_have_and_the_model_lacks_is_compared():
-    found = compared(unit(1, extra=friction(1e-3)), unit(2, extra=friction(1.5e-3)))
-    (only,) = found.differing
+    points = compared(unit(1, extra=friction(1e-3)), unit(2, extra=friction(1.5e-3)))
+    (only,) = points.differing
     assert (only.name.effect, only.parameter) == ("coulomb-friction", "torque")
     assert only.second / only.first == pytest.approx(1.5, rel=0.1)
 
@@ -95,10 +97,10 @@ def test_two_recordings_of_one_unit_do_not_differ_without_repeats(plain):
 
 
 def test_two_recordings_of_one_unit_do_not_differ():
-    found = compared(unit(1, repeats=3), unit(3, repeats=3))
-    assert found.differing == ()
-    assert units_text(found).startswith("No parameter or effect differs beyond noise")
-    damping = next(one for one in found.differences if one.parameter == "damping")
+    points = compared(unit(1, repeats=3), unit(3, repeats=3))
+    assert points.differing == ()
+    assert units_text(points).startswith("No parameter or effect differs beyond noise")
+    damping = next(difference for difference in points.differences if difference.parameter == "damping")
     assert abs(damping.change.high) < 0.2 * DAMPING
 
 
@@ -111,6 +113,6 @@ def test_units_recorded_unlike_are_refused(plain):
 def test_a_change_that_the_data_leave_wide_open_is_told_in_words():
     change = ResampledNumber(-0.0, -23006.0, 23006.0, "rad")
     level = UnitDifference(Name("saturation", "goal"), "level", 1.258, 1.258, change, "both lack")
-    told = units_text(UnitComparison("pan", "wrist", "servo", (6, 3), (level,), None, ()))
-    assert "not told by these data" in told
-    assert "23006" not in told
+    text = units_text(UnitComparison("pan", "wrist", "servo", (6, 3), (level,), None, ()))
+    assert "not told by these data" in text
+    assert "23006" not in text

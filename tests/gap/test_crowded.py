@@ -15,23 +15,23 @@ def searched(once: int, repeats: int):
     from dataclasses import replace
 
     leaders = [
-        replace(trial, condition={"release": 10.0 + place}, repeat=repeat)
-        for place in range(3)
+        replace(trial, condition={"release": 10.0 + index}, repeat=repeat)
+        for index in range(3)
         for repeat in range(repeats)
     ]
-    others = [replace(trial, condition={"release": float(place)}) for place in np.linspace(20, 90, once)]
+    others = [replace(trial, condition={"release": float(release)}) for release in np.linspace(20, 90, once)]
     return averaged(replace(data, trials=tuple(leaders + others)), pendulum())
 
 
 def test_what_was_repeated_stays_and_the_rest_is_spread_over_the_range():
-    found = without_crowding(searched(100, 5))
-    assert len(found.conditions) < 20
-    releases = sorted(one.condition["release"] for one in found.trials)
+    dataset = without_crowding(searched(100, 5))
+    assert len(dataset.conditions) < 20
+    releases = sorted(trial.condition["release"] for trial in dataset.trials)
     assert releases[:3] == [10.0, 11.0, 12.0]
     assert releases[-1] == 90.0
     assert np.diff(releases[3:]).max() < 30
-    assert sorted({one.group for one in found.trials}) == list(range(len(found.conditions)))
-    assert f"of 103 conditions {len(found.conditions)} were looked at" in found.notes[-1]
+    assert sorted({trial.group for trial in dataset.trials}) == list(range(len(dataset.conditions)))
+    assert f"of 103 conditions {len(dataset.conditions)} were looked at" in dataset.notes[-1]
 
 
 @pytest.mark.parametrize(("once", "repeats"), [(4, 5), (100, 1)])

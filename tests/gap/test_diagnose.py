@@ -54,14 +54,14 @@ def test_the_gap_shrinks_to_the_floor_on_conditions_the_fit_did_not_see(with_fri
 
 
 def test_every_candidate_has_a_verdict_and_the_cause_has_the_first_place(with_friction: Diagnosis) -> None:
-    verdicts = [one.verdict for one in with_friction.candidates]
+    verdicts = [candidate.verdict for candidate in with_friction.candidates]
     assert verdicts[0] == "cause"
     assert set(verdicts) <= {"cause", "rival", "not-needed", "excluded", "not-visible"}
-    assert len({one.name for one in with_friction.candidates}) == len(verdicts) > 20
+    assert len({candidate.name for candidate in with_friction.candidates}) == len(verdicts) > 20
 
 
 def test_what_is_excluded_is_told_with_the_range_that_was_searched(with_friction: Diagnosis) -> None:
-    play = next(one for one in with_friction.candidates if one.name.effect == "backlash")
+    play = next(candidate for candidate in with_friction.candidates if candidate.name.effect == "backlash")
     assert play.verdict == "excluded"
     assert play.remark.startswith("searched: gap 0 to ")
 
@@ -71,22 +71,26 @@ def test_friction_that_differs_by_direction_is_coulomb_friction_and_a_pull_while
     def uneven(t: float, q: float, v: float) -> float:
         return float(-(0.006 + 0.002 * np.tanh(v / 0.02)) * np.tanh(v / 0.02))
 
-    found = diagnose_dataset(recorded(uneven), pendulum(), QUICK)
-    friction, pull = found.causes
-    assert not any("not tried" in one for one in found.notes)
-    assert any(one.name.effect == "asymmetric-friction" for one in found.candidates)
+    dataset = diagnose_dataset(recorded(uneven), pendulum(), QUICK)
+    friction, pull = dataset.causes
+    assert not any("not tried" in note for note in dataset.notes)
+    assert any(candidate.name.effect == "asymmetric-friction" for candidate in dataset.candidates)
     assert str(friction.name) == "coulomb-friction at hinge"
     assert friction.values["torque"].value == pytest.approx(0.006, rel=0.05)
-    pulls = {(one.effect, one.site) for one in (pull.name, *pull.rivals)}
+    pulls = {(rival.effect, rival.site) for rival in (pull.name, *pull.rivals)}
     assert pulls & {("constant-force", "hinge"), ("bias", "torque"), ("rest-offset", "hinge")}
 
 
 def test_bounds_of_what_cannot_be_negative_begin_at_zero(with_friction: Diagnosis) -> None:
-    excluded = {one.name: one.upper_bound for one in with_friction.candidates if one.verdict == "excluded"}
+    excluded = {
+        candidate.name: candidate.upper_bound
+        for candidate in with_friction.candidates
+        if candidate.verdict == "excluded"
+    }
     ends = {
-        (name.effect, key): (one.low, one.high)
+        (name.effect, key): (bound.low, bound.high)
         for name, bounds in excluded.items()
-        for key, one in bounds.items()
+        for key, bound in bounds.items()
         if name.effect not in LEVELS
     }
     assert ends
@@ -100,26 +104,30 @@ def test_bounds_of_what_cannot_be_negative_begin_at_zero(with_friction: Diagnosi
 def test_levels_that_are_excluded_are_bounded_from_below_near_the_peak_of_the_signal(
     with_friction: Diagnosis,
 ) -> None:
-    bounds = {one.name: one.upper_bound for one in with_friction.candidates if one.verdict == "excluded"}
-    found = {
-        (str(name), key): one
+    bounds = {
+        candidate.name: candidate.upper_bound
+        for candidate in with_friction.candidates
+        if candidate.verdict == "excluded"
+    }
+    result = {
+        (str(name), key): stored
         for name, of_one in bounds.items()
-        for key, one in of_one.items()
+        for key, stored in of_one.items()
         if name.effect in LEVELS
     }
     torque = max(amplitude for amplitude, _ in CONDITIONS)
     steepest = max(2 * np.pi * frequency * amplitude for amplitude, frequency in CONDITIONS)
-    angle = max(float(np.max(np.abs(one.outputs))) for one in recorded(dry_friction(0.006)).trials)
+    angle = max(float(np.max(np.abs(trial.outputs))) for trial in recorded(dry_friction(0.006)).trials)
     for key, peak in {
         ("saturation at torque", "level"): torque,
         ("rate-limit at torque", "rate"): steepest,
         ("saturation at angle", "level"): angle,
         ("end-stop at hinge", "upper"): angle,
     }.items():
-        one = found[key]
-        assert 0.85 * peak < one.value <= 1.05 * peak
-        assert one.low == one.value < one.high
-    lower = found["end-stop at hinge", "lower"]
+        stored = result[key]
+        assert 0.85 * peak < stored.value <= 1.05 * peak
+        assert stored.low == stored.value < stored.high
+    lower = result["end-stop at hinge", "lower"]
     assert lower.low < lower.high == lower.value < -0.85 * angle
 
 
@@ -153,7 +161,7 @@ def test_a_parameter_far_beyond_its_tolerance_is_a_cause_of_its_own() -> None:
     diagnosis = diagnose_dataset(data, pendulum(), among("coulomb-friction", "added-inertia", "delay"))
     assert diagnosis.verdict in ("explained", "mostly-explained")
     named = {diagnosis.causes[0].name, *diagnosis.causes[0].rivals}
-    assert any(one.kind == "parameter" and one.effect == "inertia" for one in named)
+    assert any(rival.kind == "parameter" and rival.effect == "inertia" for rival in named)
 
 
 def test_a_delayed_sensor_is_told_from_everything_in_the_joint() -> None:
@@ -162,7 +170,7 @@ def test_a_delayed_sensor_is_told_from_everything_in_the_joint() -> None:
 
     diagnosis = diagnose_dataset(recorded(seen=late), pendulum(), among("delay", "lag", *FRICTIONS))
     first = diagnosis.causes[0]
-    named = {(one.effect, one.site) for one in (first.name, *first.rivals)}
+    named = {(rival.effect, rival.site) for rival in (first.name, *first.rivals)}
     # with one output, a late sensor and a late drive are the same
     assert named & {("delay", "angle"), ("delay", "torque")}
 
@@ -199,9 +207,11 @@ def test_withholding_an_effect_that_does_not_exist_names_the_nearest() -> None:
 
 def test_one_trial_is_answered_with_its_limits() -> None:
     diagnosis = diagnose_dataset(recorded(repeats=1, conditions=CONDITIONS[:1]), pendulum(), FEW)
-    assert any("One trial only" in one for one in diagnosis.limitations)
-    assert any("how much of what is left is noise is not known" in one for one in diagnosis.limitations)
-    assert any("One condition only" in one for one in diagnosis.limitations)
+    assert any("One trial only" in limitation for limitation in diagnosis.limitations)
+    assert any(
+        "how much of what is left is noise is not known" in limitation for limitation in diagnosis.limitations
+    )
+    assert any("One condition only" in limitation for limitation in diagnosis.limitations)
 
 
 def test_numbers_that_are_not_finite_are_refused_with_their_place() -> None:

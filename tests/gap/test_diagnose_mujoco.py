@@ -53,10 +53,10 @@ rate = 0.0
 def test_dry_friction_is_found_in_a_joint_of_mujocos(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(MJCF)
     (tmp_path / "arm.toml").write_text(TABLE)
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         recorded(dry_friction(0.006)), load_model(tmp_path / "arm.toml"), Options(workers=2)
     )
-    assert found.verdict == "explained"
-    assert str(found.causes[0].name) in ("coulomb-friction at hinge", "stribeck-friction at hinge")
-    assert found.causes[0].values["torque"].value == pytest.approx(0.006, rel=0.1)
-    assert found.gap.after < 0.2 * found.gap.recalibrated
+    assert dataset.verdict == "explained"
+    assert str(dataset.causes[0].name) in ("coulomb-friction at hinge", "stribeck-friction at hinge")
+    assert dataset.causes[0].values["torque"].value == pytest.approx(0.006, rel=0.1)
+    assert dataset.gap.after < 0.2 * dataset.gap.recalibrated

@@ -43,27 +43,30 @@ def typed(*arguments: str) -> str:
 
 
 def found_on(experiment: str, hidden: str, overrides: tuple[str, ...] = (), seed: int = 5) -> Answer:
-    sets = [word for one in overrides for word in ("--set", one)]
+    sets = [word for override in overrides for word in ("--set", override)]
     typed("run", experiment, "--dry-run", "--seed", str(seed), "--hide", hidden, *sets)
-    said = json.loads(typed("gap", "diagnose", experiment, "--no-report", "--workers", "2", "--json"))
-    return said, json.loads(typed("gap", "reveal", experiment, "--json"))
+    loads = json.loads(typed("gap", "diagnose", experiment, "--no-report", "--workers", "2", "--json"))
+    return loads, json.loads(typed("gap", "reveal", experiment, "--json"))
 
 
 def assert_named(answer: Answer, effect: str, site: str) -> None:
     """One cause, alone or beside one rival, is what was hidden; and the opened seal says so."""
-    said, revealed = answer
-    (cause,) = said["causes"]
-    named = [(one["effect"], one["site"]) for one in (cause, *cause["indistinguishable_from"])]
+    message, revealed = answer
+    (cause,) = message["causes"]
+    named = [
+        (named_cause["effect"], named_cause["site"])
+        for named_cause in (cause, *cause["indistinguishable_from"])
+    ]
     assert (effect, site) in named
     assert len(named) <= 2
     assert revealed["score"] == ("right" if named[0] == (effect, site) else "right, in a stated set")
-    assert said["shrinkage"]["share_removed"]["value"] > 0.9
+    assert message["shrinkage"]["share_removed"]["value"] > 0.9
 
 
 def assert_quiet(answer: Answer) -> None:
-    said, revealed = answer
-    assert said["verdict"] == "no-gap"
-    assert said["causes"] == []
+    message, revealed = answer
+    assert message["verdict"] == "no-gap"
+    assert message["causes"] == []
     assert revealed["score"] == "right"
 
 

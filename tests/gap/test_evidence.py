@@ -25,8 +25,8 @@ def residuals(data: Dataset, colour: float, seed: int = 0) -> list[FloatArray]:
     rng = np.random.default_rng(seed)
     return [
         np.sqrt(1.0 - colour**2)
-        * lfilter([1.0], [1.0, -colour], rng.standard_normal(one.outputs.shape), axis=0)
-        for one in data.trials
+        * lfilter([1.0], [1.0, -colour], rng.standard_normal(trial.outputs.shape), axis=0)
+        for trial in data.trials
     ]
 
 
@@ -38,8 +38,8 @@ def test_conditions_are_cut_into_blocks_that_are_longer_than_the_correlation_tim
     residual = residuals(data, colour, seed)
     units = Units.of(data, residual)
     assert len(units.strata) == sum(units.blocks)
-    for blocks, one in zip(units.blocks, residual, strict=True):
-        assert blocks == 1 or len(one) / blocks >= correlation_samples(one)
+    for blocks, trial_residual in zip(units.blocks, residual, strict=True):
+        assert blocks == 1 or len(trial_residual) / blocks >= correlation_samples(trial_residual)
 
 
 def test_the_fewer_the_conditions_the_more_blocks_each_is_cut_into() -> None:
@@ -49,20 +49,20 @@ def test_the_fewer_the_conditions_the_more_blocks_each_is_cut_into() -> None:
 
 def test_a_residual_that_is_slow_beside_its_trial_makes_hardly_more_units_than_there_are_conditions() -> None:
     data = data_of(3)
-    slow = [np.sin(0.6 * np.pi * one.time_s / one.time_s[-1])[:, None] for one in data.trials]
+    slow = [np.sin(0.6 * np.pi * trial.time_s / trial.time_s[-1])[:, None] for trial in data.trials]
     assert max(Units.of(data, slow).blocks) <= 2
 
 
 def test_one_condition_has_two_blocks_at_least_since_one_unit_decides_nothing() -> None:
     data = data_of(1)
-    slow = [np.sin(0.6 * np.pi * one.time_s / one.time_s[-1])[:, None] for one in data.trials]
+    slow = [np.sin(0.6 * np.pi * trial.time_s / trial.time_s[-1])[:, None] for trial in data.trials]
     assert Units.of(data, slow).blocks == (2,)
 
 
 @pytest.mark.parametrize("repeats", [1, 4])
 def test_of_noise_alone_the_error_is_that_of_the_mean_of_the_repeats(repeats: int) -> None:
     data = data_of(3, repeats)
-    mean = [one / np.sqrt(repeats) for one in residuals(data, 0.0)]
+    mean = [residual / np.sqrt(repeats) for residual in residuals(data, 0.0)]
     noise = replace(of_sensor(data, mean), sd=np.array([1.0]))
     units = Units.of(data, mean)
     error = error_of(data, noise, units, mean)
@@ -83,7 +83,7 @@ def test_twice_the_error_counts_the_same_whichever_condition_has_most_of_it(fact
         larger = [factor * sized[0], *sized[1:]]
         shares.append(error_of(data, noise, units, larger).mean - error_of(data, noise, units, sized).mean)
     assert shares[0] == pytest.approx(shares[1])
-    everywhere = error_of(data, noise, units, [factor * one for one in left]).mean
+    everywhere = error_of(data, noise, units, [factor * residual for residual in left]).mean
     assert everywhere - before == pytest.approx(2.0 * np.log(factor))
 
 
@@ -98,4 +98,4 @@ def test_an_exact_prediction_has_a_finite_log_error() -> None:
     data = data_of(3)
     left = residuals(data, 0.0)
     noise, units = of_sensor(data, left), Units.of(data, left)
-    assert np.all(np.isfinite(error_of(data, noise, units, [0.0 * one for one in left]).log))
+    assert np.all(np.isfinite(error_of(data, noise, units, [0.0 * residual for residual in left]).log))

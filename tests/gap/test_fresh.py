@@ -49,37 +49,37 @@ def predicted(model, dataset, **given):
 
 def test_the_error_of_a_wrong_rate_grows_with_the_horizon_as_its_formula_says():
     data = decays(trials=1)
-    found = predicted(WRONG, data, horizons_s=(0.5, 1.5)).predictions
-    for one in found[:2]:
+    predictions = predicted(WRONG, data, horizons_s=(0.5, 1.5)).predictions
+    for prediction in predictions[:2]:
         # the state is fitted to the 25 samples before, by a rate that is wrong there, too: their weighted mean
         lag = np.arange(25) / RATE_HZ - 24 / RATE_HZ
         weights = np.exp(-1.0 * lag)
         begin = weights @ np.exp(-RATE * lag) / (weights @ weights)
-        relative = np.exp(-RATE * one.horizon_s) - begin * np.exp(-1.0 * one.horizon_s)
+        relative = np.exp(-RATE * prediction.horizon_s) - begin * np.exp(-1.0 * prediction.horizon_s)
         starts = np.linspace(0, 276 - 50, 40).astype(int) + 24
-        starts = starts[starts / RATE_HZ + one.horizon_s <= 3.0 + 1e-9]
+        starts = starts[starts / RATE_HZ + prediction.horizon_s <= 3.0 + 1e-9]
         expected = abs(relative) * np.sqrt(np.mean(np.exp(-2 * RATE * starts / RATE_HZ)))
-        assert one.error.value == pytest.approx(expected, rel=1e-3)
-        assert one.predictions == len(starts)
+        assert prediction.error.value == pytest.approx(expected, rel=1e-3)
+        assert prediction.predictions == len(starts)
 
 
 def test_the_right_model_leaves_the_noise_and_its_interval_holds_it():
-    found = predicted(TRUE, decays(noise=NOISE_V))
-    whole = found.predictions[-1]
+    result = predicted(TRUE, decays(noise=NOISE_V))
+    whole = result.predictions[-1]
     assert whole.horizon_s is None
     assert whole.error.low < NOISE_V < whole.error.high
-    assert all(one.error.value < 1.5 * NOISE_V for one in found.predictions)
-    assert [one.horizon_s for one in found.predictions] == [0.1, 0.5, 2.0, None]
+    assert all(prediction.error.value < 1.5 * NOISE_V for prediction in result.predictions)
+    assert [prediction.horizon_s for prediction in result.predictions] == [0.1, 0.5, 2.0, None]
 
 
 def test_the_model_it_came_from_is_set_beside_it_on_the_same_predictions():
-    found = predicted(TRUE, decays(noise=NOISE_V), before=WRONG)
-    far = found.predictions[2]
+    result = predicted(TRUE, decays(noise=NOISE_V), before=WRONG)
+    far = result.predictions[2]
     assert far.ratio.value == pytest.approx(far.error.value / far.before.value)
     assert far.ratio.high < 1.0
     same = predicted(TRUE, decays(noise=NOISE_V), before=TRUE).predictions[2]
     assert same.ratio.low == pytest.approx(1.0) == same.ratio.high
-    text = fresh_text(found)
+    text = fresh_text(result)
     assert "2 s" in text
     assert "whole trial" in text
     assert "no significant change" not in text.splitlines()[-2]
@@ -93,7 +93,9 @@ def test_a_horizon_that_no_trial_reaches_is_refused_with_the_longest_there_is():
 
 
 def test_one_trial_says_that_its_intervals_know_nothing_of_how_trials_differ():
-    assert any("there is one trial" in one for one in predicted(TRUE, decays(trials=1, noise=NOISE_V)).notes)
+    assert any(
+        "there is one trial" in note for note in predicted(TRUE, decays(trials=1, noise=NOISE_V)).notes
+    )
 
 
 @pytest.fixture
@@ -129,8 +131,8 @@ def recorded(folder, *, trials=2, first=0):
 
 
 def test_a_file_is_tested_beside_its_origin_but_not_on_the_data_it_was_fitted_to(corrected, tmp_path):
-    found = predict_file(corrected, recorded(tmp_path / "fresh", trials=4, first=2), horizons_s=(0.5,))
-    assert found.predictions[0].ratio.high > 1.0  # 0.9 is farther from the truth than 0.8
+    file = predict_file(corrected, recorded(tmp_path / "fresh", trials=4, first=2), horizons_s=(0.5,))
+    assert file.predictions[0].ratio.high > 1.0  # 0.9 is farther from the truth than 0.8
     with pytest.raises(RequestError, match="was corrected by"):
         predict_file(corrected, recorded(tmp_path / "run"))
     with pytest.raises(RequestError, match=r"copy holds 2 trials, which .* was corrected by"):
@@ -138,4 +140,4 @@ def test_a_file_is_tested_beside_its_origin_but_not_on_the_data_it_was_fitted_to
     (tmp_path / "decay.toml").unlink()
     alone = predict_file(corrected, tmp_path / "fresh", horizons_s=(0.5,))
     assert alone.predictions[0].before is None
-    assert any("--beside" in one for one in alone.notes)
+    assert any("--beside" in note for note in alone.notes)

@@ -69,6 +69,6 @@ def test_a_coarse_sensor_that_follows_the_motion_is_taken() -> None:
 
 
 def test_static_trials_of_one_sample_are_taken() -> None:
-    one = dataset(np.array([0.1]))
-    other = replace(one.trials[0], outputs=np.array([[0.2]]))
-    require_informative(replace(one, trials=(*one.trials, other)))
+    entry = dataset(np.array([0.1]))
+    other = replace(entry.trials[0], outputs=np.array([[0.2]]))
+    require_informative(replace(entry, trials=(*entry.trials, other)))

@@ -26,7 +26,7 @@ def with_friction(data: Dataset, *, noise: float = NOISE, shapes: bool = False, 
     """Return the pendulum with Coulomb friction, fitted; its sharpness is held, and may be drawn if `shapes`."""
     effect = load_effect("coulomb-friction")
     if not shapes:
-        alone = [replace(one, starts=one.starts[:1]) for one in effect.parameters]
+        alone = [replace(parameter, starts=parameter.starts[:1]) for parameter in effect.parameters]
         effect = replace(effect, parameters=tuple(alone))
     scale = Scale(coordinate=0.5, rate=rate, acceleration=10.0, force=0.05)
     candidate = Candidate(Name("coulomb-friction", "hinge"), effect.attach("hinge", scale), scale, ((0.1,),))
@@ -65,8 +65,8 @@ def test_a_size_that_is_another_one_in_each_condition_is_told_as_that_uncertain(
     same: Base, known: bool
 ) -> None:
     trials = []
-    for place, condition in enumerate(CONDITIONS):
-        part = recorded(dry_friction(0.004 if place % 2 else 0.008), noise=NOISE, conditions=[condition])
+    for index, condition in enumerate(CONDITIONS):
+        part = recorded(dry_friction(0.004 if index % 2 else 0.008), noise=NOISE, conditions=[condition])
         trials += part.trials
     apart = with_friction(replace(recorded(), trials=tuple(trials)))
     assert spread(apart, known=known) > 0.0007  # 2 mN m apart, five of them: 0.9 mN m

@@ -67,7 +67,7 @@ def turned(*missing: Callable[[float, float], float]) -> Dataset:
             torques.append(torque)
 
             def slope(_: float, y: np.ndarray, torque: float = torque) -> list[float]:
-                lost = sum(one(y[0], y[1]) for one in missing)
+                lost = sum(force(y[0], y[1]) for force in missing)
                 return [y[1], (torque - 6.5e-4 * y[1] - lost) / 3.1e-4]
 
             x = solve_ivp(slope, (0.0, 0.008), x, rtol=1e-8, atol=1e-10).y[:, -1]
@@ -83,15 +83,15 @@ def knob() -> Model:
 
 def looked_at(data: Dataset) -> tuple[Recalibrated, Candidate]:
     """Return the recalibrated model of a knob, and cogging as a candidate of it."""
-    found = recalibrate(knob(), averaged(data, knob()), np.random.default_rng(0), lambda _: None)
-    every = candidates(found.problem.model, site_scales(found.problem, found.z))
-    return found, next(one for one in every if one.name.effect == "cogging")
+    recalibrated = recalibrate(knob(), averaged(data, knob()), np.random.default_rng(0), lambda _: None)
+    every = candidates(recalibrated.problem.model, site_scales(recalibrated.problem, recalibrated.z))
+    return recalibrated, next(candidate for candidate in every if candidate.name.effect == "cogging")
 
 
 def test_the_periods_over_many_turns_are_read_from_what_is_missing() -> None:
-    found, cogging = looked_at(turned(cogs))
+    recalibrated, cogging = looked_at(turned(cogs))
     assert cogging.scale is not None
-    (periods, sine, cosine), *_ = line_starts(found.problem, found.z, cogging)
+    (periods, sine, cosine), *_ = line_starts(recalibrated.problem, recalibrated.z, cogging)
     travel = 2.0 * cogging.scale.travel  # a line is as wide as one period more over the whole of it
     assert periods * cogging.scale.of("per-coordinate") == pytest.approx(PERIODS, abs=np.pi / travel)
     expected = SIZE * np.array([np.cos(PHASE), np.sin(PHASE)])
@@ -99,18 +99,18 @@ def test_the_periods_over_many_turns_are_read_from_what_is_missing() -> None:
 
 
 def test_only_what_comes_back_along_the_way_makes_wells() -> None:
-    found, cogging = looked_at(turned(cogs))
-    growth = growth_in_wells(found.problem, found.z, cogging)
+    recalibrated, cogging = looked_at(turned(cogs))
+    growth = growth_in_wells(recalibrated.problem, recalibrated.z, cogging)
     assert growth == pytest.approx(np.sqrt(SIZE * PERIODS / 3.1e-4), rel=0.2)
-    found, cogging = looked_at(turned(rubs))
-    assert growth_in_wells(found.problem, found.z, cogging) == 0.0
+    recalibrated, cogging = looked_at(turned(rubs))
+    assert growth_in_wells(recalibrated.problem, recalibrated.z, cogging) == 0.0
 
 
 @pytest.mark.slow
 def test_a_knob_that_cogs_and_rubs_is_said_to_do_both() -> None:
-    found = diagnose_dataset(turned(cogs, rubs), knob(), Options(places=False))
-    causes = {str(one.name): one.values for one in found.causes}
+    dataset = diagnose_dataset(turned(cogs, rubs), knob(), Options(places=False))
+    causes = {str(cause.name): cause.values for cause in dataset.causes}
     assert set(causes) == {"cogging at shaft", "coulomb-friction at shaft"}
     assert causes["cogging at shaft"]["periods"].value == pytest.approx(PERIODS, rel=0.02)
     assert causes["coulomb-friction at shaft"]["torque"].value == pytest.approx(SIZE, rel=0.15)
-    assert any("wells" in one for one in found.limitations)
+    assert any("wells" in limitation for limitation in dataset.limitations)

@@ -42,14 +42,14 @@ SIX = ((0.02, 0.6), (0.03, 0.9), (0.04, 1.2), (0.03, 1.7), (0.05, 0.8), (0.06, 0
 
 
 def test_stribeck_friction_of_six_trials_has_no_rival_coulomb_friction() -> None:
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         recorded(stribeck, repeats=1, noise=2e-3, conditions=SIX),
         pendulum(),
         among("coulomb-friction", "stribeck-friction", "quadratic-drag"),
     )
-    assert effects(found) == {"stribeck-friction"}
-    assert "coulomb-friction" not in rivals(found, "stribeck-friction")
-    assert found.causes[0].closes > 0.9
+    assert effects(dataset) == {"stribeck-friction"}
+    assert "coulomb-friction" not in rivals(dataset, "stribeck-friction")
+    assert dataset.causes[0].closes > 0.9
 
 
 # --- play and friction ---
@@ -114,17 +114,17 @@ def loose_servo() -> Dataset:
 
 
 def test_play_and_friction_of_a_link_are_both_told_and_friction_alone_never_stands_for_them() -> None:
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         loose_servo(), parse_model(SERVO, "servo.toml"), among(*PLAY, *FRICTION, "delay")
     )
-    named = effects(found) | {rival.effect for cause in found.causes for rival in cause.rivals}
+    named = effects(dataset) | {rival.effect for cause in dataset.causes for rival in cause.rivals}
     assert named & set(PLAY)
     assert named & set(FRICTION)
-    for row in found.candidates:
+    for row in dataset.candidates:
         if row.name.effect == "backlash" and "gap" in row.upper_bound:
             assert row.upper_bound["gap"].high > 0.03
-    for cause in found.causes:
-        if cause.name.effect == "coulomb-friction" and "backlash" in effects(found):
+    for cause in dataset.causes:
+        if cause.name.effect == "coulomb-friction" and "backlash" in effects(dataset):
             assert cause.values["torque"].value == pytest.approx(0.15, rel=0.3)
 
 
@@ -178,14 +178,14 @@ def test_linear_drag_in_place_of_the_models_quadratic_one_is_named() -> None:
         for size in (1.0, 2.0, 3.0, 4.0, 5.0)
     }
     data = sailed(lambda speed, thrust: (thrust - 4.0 * speed) / 4.05, thrusts, noise=5e-3)
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         data,
         parse_model(HULL, "hull.toml"),
         among("viscous-damping", "quadratic-drag", "coulomb-friction", "added-inertia", "lag"),
     )
-    assert "viscous-damping" in effects(found)
-    assert found.verdict in ("explained", "mostly-explained")
-    (drag,) = [cause for cause in found.causes if cause.name.effect == "viscous-damping"]
+    assert "viscous-damping" in effects(dataset)
+    assert dataset.verdict in ("explained", "mostly-explained")
+    (drag,) = [cause for cause in dataset.causes if cause.name.effect == "viscous-damping"]
     assert drag.values["coefficient"].value == pytest.approx(4.0, rel=0.1)
 
 
@@ -232,9 +232,9 @@ def test_the_drag_of_falling_bodies_is_named_from_a_few_samples_a_drop(count: in
         "fall", Path("fall"), "recording", (), (SignalInfo("height", "m", "linear"),), tuple(trials)
     )
     few = among("viscous-damping", "coulomb-friction", "added-stiffness")
-    found = diagnose_dataset(data, parse_model(FALL, "fall.toml"), few)
-    assert effects(found) == {"viscous-damping"}
-    assert found.causes[0].values["coefficient"].value == pytest.approx(0.35, rel=0.05)
+    dataset = diagnose_dataset(data, parse_model(FALL, "fall.toml"), few)
+    assert effects(dataset) == {"viscous-damping"}
+    assert dataset.causes[0].values["coefficient"].value == pytest.approx(0.35, rel=0.05)
 
 
 # --- a force that differs by condition ---
@@ -281,34 +281,36 @@ def test_a_wind_that_differs_by_flight_is_neither_drag_of_any_size_nor_a_bias_la
             )
         )
     data = logged("drone", SignalInfo("pitch", "rad", "hold"), SignalInfo("speed", "m/s", "linear"), trials)
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         data,
         parse_model(DRONE, "drone.toml"),
         among("mean-current", "drag-error", "reynolds-dependent-drag", "bias", "drift"),
     )
     moves = max(float(np.ptp(trial.outputs)) for trial in data.trials)
-    for cause in found.causes:
+    for cause in dataset.causes:
         for name, size in cause.values.items():
             if "drag" in cause.name.effect and name == "coefficient":
                 assert not size.low <= 0.0
             if cause.name.effect == "bias":
                 assert abs(size.value) < moves
-    assert found.verdict != "no-gap"
-    assert any("differs by" in text for text in (*found.differs, found.sentence, *found.rest.depends_on))
+    assert dataset.verdict != "no-gap"
+    assert any(
+        "differs by" in text for text in (*dataset.differs, dataset.sentence, *dataset.rest.depends_on)
+    )
 
 
 # --- a parameter that is far off ---
 
 
 def test_an_inertia_far_beyond_its_tolerance_is_told_as_that() -> None:
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         recorded(true={**TRUE, "inertia": 1.6e-3}, repeats=1),
         pendulum(),
         among("coulomb-friction", "added-inertia", "delay", "lag", "bias"),
     )
-    named = {(one.kind, one.effect) for cause in found.causes for one in (cause.name, *cause.rivals)}
+    named = {(rival.kind, rival.effect) for cause in dataset.causes for rival in (cause.name, *cause.rivals)}
     assert ("parameter", "inertia") in named
-    assert len(found.causes) == 1
+    assert len(dataset.causes) == 1
 
 
 def test_a_parameter_of_the_wrong_sign_is_told_as_that() -> None:
@@ -317,12 +319,12 @@ def test_a_parameter_of_the_wrong_sign_is_told_as_that() -> None:
     data = recorded(
         true=truth, repeats=1, conditions=((0.06, 0.9), (0.09, 1.2), (0.12, 1.6), (0.09, 2.4), (0.15, 2.0))
     )
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         data,
         parse_model(stiff, "pendulum.toml"),
         among("imbalance", "coulomb-friction", "backlash", "gain-error"),
     )
-    (cause,) = found.causes
+    (cause,) = dataset.causes
     assert ("parameter", "gravity") in {(name.kind, name.effect) for name in (cause.name, *cause.rivals)}
-    assert found.corrected["gravity"] == pytest.approx(-0.083, rel=0.1)
+    assert dataset.corrected["gravity"] == pytest.approx(-0.083, rel=0.1)
     assert "sign is reversed" in cause.remark

@@ -51,9 +51,9 @@ def base() -> Base:
     return Base.of(problem, problem.priors.stated)
 
 
-def candidate(one: Effect) -> Candidate:
-    name = Name(one.id, "hinge")
-    return Candidate(name, one.attach("hinge"), Scale(), ((0.4,), (0.1,), (1.2,)))
+def candidate(library_effect: Effect) -> Candidate:
+    name = Name(library_effect.id, "hinge")
+    return Candidate(name, library_effect.attach("hinge"), Scale(), ((0.4,), (0.1,), (1.2,)))
 
 
 def test_starts_that_give_no_finite_numbers_are_dropped(base: Base) -> None:
@@ -69,7 +69,7 @@ def test_a_candidate_without_any_finite_start_promises_nothing_and_is_not_fitted
     assert looked.potential == 0.0
     assert looked.lines.shape[1] == 0
     fitted = screen_all(base, [looked, survey(base, candidate(WHEN_SMALL))])
-    assert [one.candidate.name.effect for one in fitted] == ["breaks-when-large"]
+    assert [screened.candidate.name.effect for screened in fitted] == ["breaks-when-large"]
 
 
 def test_a_candidate_that_wants_shorter_steps_keeps_them_after_its_fit(base: Base) -> None:
@@ -85,13 +85,13 @@ def test_a_candidate_that_wants_shorter_steps_keeps_them_after_its_fit(base: Bas
 def test_an_effect_that_gives_no_numbers_is_not_ruled_out_but_said_not_to_have_been_tried(
     monkeypatch,
 ) -> None:
-    library = [one for one in labrun.effects.effects() if one.id in ("coulomb-friction", "bias")]
+    library = [other for other in labrun.effects.effects() if other.id in ("coulomb-friction", "bias")]
     monkeypatch.setattr("labrun.gap.candidates.effects", lambda **_: (*library, NEVER))
     data = recorded(dry_friction(0.006), conditions=CONDITIONS[:3])
-    found = diagnose_dataset(data, pendulum(), Options(places=False))
-    assert "no-number" not in {one.name.effect for one in found.candidates}
-    assert "effect no-number at hinge gives no finite numbers at any size: it was not tried" in found.notes
-    assert str(found.causes[0].name) == "coulomb-friction at hinge"
+    dataset = diagnose_dataset(data, pendulum(), Options(places=False))
+    assert "no-number" not in {other.name.effect for other in dataset.candidates}
+    assert "effect no-number at hinge gives no finite numbers at any size: it was not tried" in dataset.notes
+    assert str(dataset.causes[0].name) == "coulomb-friction at hinge"
 
 
 def with_equation(addition: str) -> object:
@@ -106,9 +106,9 @@ def test_ends_of_what_is_believed_that_do_not_simulate_are_named() -> None:
     problem = problem_of(
         with_equation("+ 0*log(gravity - 0.058)")
     )  # stated 0.06, three tolerances below: 0.0546
-    said = unsearched(problem, problem.priors.stated)
-    assert "with gravity = 0.0546," in said[0]
-    assert "was not searched" in said[0]
+    messages = unsearched(problem, problem.priors.stated)
+    assert "with gravity = 0.0546," in messages[0]
+    assert "was not searched" in messages[0]
 
 
 def test_simulations_that_left_the_finite_numbers_are_counted() -> None:
@@ -151,5 +151,5 @@ x = 1.0
     ]  # fmt: skip
     data = Dataset("decay", tmp_path, "recording", (), (SignalInfo("x", "1"),), tuple(trials))
     model = parse_model(text, "decay.toml")
-    found = recalibrate(model, averaged(data, model), rng, silent)
-    assert np.isfinite(np.concatenate(found.problem.simulated(found.raw))).all()
+    recalibrated = recalibrate(model, averaged(data, model), rng, silent)
+    assert np.isfinite(np.concatenate(recalibrated.problem.simulated(recalibrated.raw))).all()

@@ -58,7 +58,7 @@ def balanced(friction: float, seconds: float = 8.0) -> Dataset:
         x = solve_ivp(
             slope, (0.0, seconds), [0.05, 0.0], t_eval=time_s, rtol=1e-8, atol=1e-10, max_step=0.01
         ).y
-        inputs = np.array([torque(t, one) for t, one in zip(time_s, x.T, strict=True)])[:, None]
+        inputs = np.array([torque(t, state) for t, state in zip(time_s, x.T, strict=True)])[:, None]
         outputs = (x[0] + rng.normal(0.0, 5e-4, len(time_s)))[:, None]
         trials.append(FitTrial(f"run {number}", {"run": float(number)}, 1, time_s, inputs, outputs))
     torques, angles = (SignalInfo("torque", "N m", "linear"),), (SignalInfo("angle", "rad", "linear"),)
@@ -80,10 +80,10 @@ def test_a_plant_that_hangs_is_simulated_as_it_is() -> None:
 
 
 def test_a_balanced_plant_follows_what_was_measured_of_it() -> None:
-    data, model, said = kept_on_course(balanced(0.0), stick())
-    assert "unstable in open loop" in said
-    assert [one.name for one in data.inputs] == ["torque", "angle_measured"]
-    assert "angle" not in [one.name for one in model.places if one.kind == "output"]
+    data, model, message = kept_on_course(balanced(0.0), stick())
+    assert "unstable in open loop" in message
+    assert [signal.name for signal in data.inputs] == ["torque", "angle_measured"]
+    assert "angle" not in [location.name for location in model.places if location.kind == "output"]
     true = model.with_values({"inertia": 0.01, "weight": 0.4, "damping": 0.02})
     for trial in data.trials:
         given = simulate(
@@ -95,11 +95,11 @@ def test_a_balanced_plant_follows_what_was_measured_of_it() -> None:
 
 @pytest.mark.slow
 def test_dry_friction_of_a_balanced_stick_is_found() -> None:
-    found = diagnose_dataset(balanced(0.02), stick(), Options(places=False))
-    assert [str(one.name) for one in found.causes] == ["coulomb-friction at pivot"]
-    low, high = found.causes[0].values["torque"].low, found.causes[0].values["torque"].high
+    dataset = diagnose_dataset(balanced(0.02), stick(), Options(places=False))
+    assert [str(cause.name) for cause in dataset.causes] == ["coulomb-friction at pivot"]
+    low, high = dataset.causes[0].values["torque"].low, dataset.causes[0].values["torque"].high
     assert low < 0.02 < high
-    assert found.causes[0].values["torque"].value == pytest.approx(0.02, rel=0.1)
+    assert dataset.causes[0].values["torque"].value == pytest.approx(0.02, rel=0.1)
     assert (
-        found.rest.predictable is None
+        dataset.rest.predictable is None
     )  # its simulated motion follows the noise, which would predict itself

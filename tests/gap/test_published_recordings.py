@@ -21,38 +21,38 @@ def effects(cause: Cause) -> set[str]:
 
 
 def test_the_drive_has_the_published_dry_friction_and_an_offset(recordings: Path) -> None:
-    found = said(recordings / "emps")
-    assert found.verdict == "explained"
-    offset, friction = sorted(found.causes, key=lambda one: "coulomb-friction" in effects(one))
+    result = said(recordings / "emps")
+    assert result.verdict == "explained"
+    offset, friction = sorted(result.causes, key=lambda cause: "coulomb-friction" in effects(cause))
     assert "constant-force" in effects(offset)
     assert friction.values["torque"].value == pytest.approx(20.3, rel=0.1)
-    assert found.shrinkage is not None
-    assert found.shrinkage.value > 0.95
+    assert result.shrinkage is not None
+    assert result.shrinkage.value > 0.95
 
 
 def test_the_circuit_has_the_published_cubic_stiffness_and_an_offset(recordings: Path) -> None:
-    found = said(recordings / "silverbox")
-    assert found.verdict == "explained"
-    cubic, offset = sorted(found.causes, key=lambda one: "cubic-stiffness" not in effects(one))
+    result = said(recordings / "silverbox")
+    assert result.verdict == "explained"
+    cubic, offset = sorted(result.causes, key=lambda cause: "cubic-stiffness" not in effects(cause))
     assert cubic.name.effect == "cubic-stiffness"
     assert "constant-force" in effects(offset)
-    assert found.gap.after < 0.05 * found.gap.recalibrated
+    assert result.gap.after < 0.05 * result.gap.recalibrated
 
 
 def test_the_swinging_arm_has_dry_friction_and_drag(recordings: Path) -> None:
-    found = said(recordings / "ring-down")
-    assert set().union(*map(effects, found.causes)) >= {"coulomb-friction", "quadratic-drag"}
-    assert found.shrinkage is not None
-    assert found.shrinkage.value > 0.8
+    result = said(recordings / "ring-down")
+    assert set().union(*map(effects, result.causes)) >= {"coulomb-friction", "quadratic-drag"}
+    assert result.shrinkage is not None
+    assert result.shrinkage.value > 0.8
 
 
 def test_the_geared_servo_has_friction_that_grows_with_its_load(recordings: Path) -> None:
-    found = said(recordings / "xl330-servo")
-    assert found.verdict == "explained"
-    assert "load-dependent-friction" in effects(found.causes[0])
-    assert found.causes[0].name.site == "shaft"
-    assert found.shrinkage is not None
-    assert found.shrinkage.value > 0.85
+    result = said(recordings / "xl330-servo")
+    assert result.verdict == "explained"
+    assert "load-dependent-friction" in effects(result.causes[0])
+    assert result.causes[0].name.site == "shaft"
+    assert result.shrinkage is not None
+    assert result.shrinkage.value > 0.85
 
 
 def test_the_servo_at_its_stop_has_one_end_only(recordings: Path) -> None:
@@ -63,20 +63,20 @@ def test_the_servo_at_its_stop_has_one_end_only(recordings: Path) -> None:
 
 
 def test_the_servo_that_sticks_has_dry_friction_or_play(recordings: Path) -> None:
-    found = said(recordings / "so101-pan").causes
-    assert [one.name.effect for one in found] == ["coulomb-friction"]
-    assert "backlash" in effects(found[0])
+    causes = said(recordings / "so101-pan").causes
+    assert [cause.name.effect for cause in causes] == ["coulomb-friction"]
+    assert "backlash" in effects(causes[0])
 
 
 def test_the_robot_joint_has_the_published_dry_friction(recordings: Path) -> None:
-    found = said(recordings / "tx40-forearm")
-    assert found.causes[0].name.effect == "coulomb-friction"
-    assert found.causes[0].values["torque"].value * 48 == pytest.approx(2.48, rel=0.15)
+    result = said(recordings / "tx40-forearm")
+    assert result.causes[0].name.effect == "coulomb-friction"
+    assert result.causes[0].values["torque"].value * 48 == pytest.approx(2.48, rel=0.15)
 
 
 def test_the_seal_rubs_in_proportion_to_its_pressure(recordings: Path) -> None:
-    found = said(recordings / "o-ring")
-    (seal,) = (one for one in found.causes if "load-dependent-friction" in effects(one))
+    result = said(recordings / "o-ring")
+    (seal,) = (cause for cause in result.causes if "load-dependent-friction" in effects(cause))
     bore_m2 = 4.9087e-4
     per_bar = seal.values["coefficient"].value * bore_m2 * 1e5
     published = (15.62 - 7.84) / 2 / 6  # half the difference between directions, over 6 bar

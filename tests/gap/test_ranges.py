@@ -26,7 +26,8 @@ from .benches import PENDULUM, FloatArray, Force, among, dry_friction, logged, p
 
 def in_other_units(data: Dataset, factor: float) -> Dataset:
     trials = tuple(
-        replace(one, outputs=factor * one.outputs, members=(factor * one.outputs,)) for one in data.trials
+        replace(trial, outputs=factor * trial.outputs, members=(factor * trial.outputs,))
+        for trial in data.trials
     )
     return replace(data, trials=trials)
 
@@ -48,9 +49,9 @@ def test_nothing_is_said_of_units_that_are_right() -> None:
 
 def test_what_a_model_has_no_place_for_is_said_with_what_to_add() -> None:
     bare = PENDULUM.replace('stiffness = "stiffness"\n', "")
-    said = " ".join(untried(parse_model(bare, "pendulum.toml")))
-    assert "backlash" in said
-    assert 'add stiffness = "..." to [sites.hinge]' in said
+    message = " ".join(untried(parse_model(bare, "pendulum.toml")))
+    assert "backlash" in message
+    assert 'add stiffness = "..." to [sites.hinge]' in message
     assert not untried(pendulum())
 
 
@@ -100,10 +101,10 @@ def test_intervals_carry_what_is_stated_of_a_scale_that_the_data_do_not_show() -
     z = problem.begin()
     base = Base.of(problem.with_measured(problem.simulated(z)), z)
     noise = of_sensor(
-        data, [np.random.default_rng(1).standard_normal(one.outputs.shape) for one in data.trials]
+        data, [np.random.default_rng(1).standard_normal(trial.outputs.shape) for trial in data.trials]
     )
     units = Units.of(
-        data, [np.random.default_rng(2).standard_normal(one.outputs.shape) for one in data.trials]
+        data, [np.random.default_rng(2).standard_normal(trial.outputs.shape) for trial in data.trials]
     )
     torque = scatter(base, noise, units, np.random.default_rng(0))[:, -1] / z[problem.size - 1]
     # all torques scale together with the inertia: of the scale, two statements of 5 % each tell what they can
@@ -114,9 +115,9 @@ def test_a_sensor_is_not_saturated_below_what_it_read() -> None:
     problem = stated_problem(pendulum(), recorded(repeats=1))
     scales = site_scales(problem, problem.begin())
     levels = {
-        one.name.site: one.attached.effect.parameters[0].lower
-        for one in candidates(problem.model, scales)
-        if one.name.effect == "saturation" and one.attached is not None
+        candidate.name.site: candidate.attached.effect.parameters[0].lower
+        for candidate in candidates(problem.model, scales)
+        if candidate.name.effect == "saturation" and candidate.attached is not None
     }
     assert 0.8 < levels["angle"] < 1.0
     assert levels["torque"] < 0.1  # what an amplifier gave is not known
@@ -129,12 +130,12 @@ def stop(level: float, stiffness: float) -> Force:
 @pytest.mark.slow
 def test_a_late_stop_far_stiffer_than_its_joint_is_found_with_its_stiffness_beside_another_cause() -> None:
     """It is 130 times as stiff as the joint, and reached in the last fiftieth of the largest motion only."""
-    peak = max(float(np.max(np.abs(one.outputs))) for one in recorded().trials)
+    peak = max(float(np.max(np.abs(trial.outputs))) for trial in recorded().trials)
     drifting = recorded(
         stop(0.98 * peak, 10.0), seen=lambda angle: angle + 0.05 * np.arange(len(angle)) / len(angle)
     )
     few = among("end-stop", "drift", "cubic-stiffness", "saturation", "bias")
-    causes = {one.name.effect: one.values for one in diagnose_dataset(drifting, pendulum(), few).causes}
+    causes = {cause.name.effect: cause.values for cause in diagnose_dataset(drifting, pendulum(), few).causes}
     assert set(causes) == {"end-stop", "drift"}
     assert causes["end-stop"]["stiffness"].value == pytest.approx(10.0, rel=0.05)
     assert causes["end-stop"]["upper"].value == pytest.approx(0.98 * peak, rel=0.005)
@@ -176,10 +177,10 @@ def test_a_current_is_found_with_a_drag_far_larger_than_what_moves_a_body_as_far
     trial = FitTrial("log", {}, 1, time_s, thrust[:, None], speed[:, None])
     channels = SignalInfo("thrust", "N", "hold"), SignalInfo("speed", "m/s", "linear")
     data = logged("vessel", *channels, [trial])
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         data, parse_model(VESSEL, "vessel.toml"), among("mean-current", "drag-error", "bias", "delay")
     )
-    (cause,) = found.causes
+    (cause,) = dataset.causes
     assert str(cause.name) == "mean-current at hull"
     assert cause.values["coefficient"].value == pytest.approx(30.0, rel=0.05)
     assert cause.values["speed"].value == pytest.approx(0.15, rel=0.1)

@@ -33,7 +33,7 @@ def test_a_simulation_made_in_two_parts_is_the_whole_one(substeps, inside):
     model = pendulum()
     driven = prepare(model, TIME_S, TORQUE, substeps)
     before = simulate_unfiltered(model, driven, parameters=TRUE, initial_state=[0.1, 0.0], effects=inside)
-    for effects in ([one] for one in SHOWN):
+    for effects in ([effect] for effect in SHOWN):
         whole = simulate(
             model, TIME_S, driven, parameters=TRUE, initial_state=[0.1, 0.0], effects=[*inside, *effects]
         )
@@ -61,10 +61,11 @@ def test_candidates_at_an_output_share_one_simulation_per_unit(monkeypatch):
         "labrun.fit.problem.simulate_unfiltered",
         lambda *given, **named: made.append(1) or simulated(*given, **named),
     )
-    for one in SHOWN:
-        at_output = problem.with_effects([one], [scale])
+    for effect in SHOWN:
+        at_output = problem.with_effects([effect], [scale])
         sizes = [
-            value / scale.of(p.quantity) for value, p in zip(one.values, one.effect.parameters, strict=True)
+            value / scale.of(p.quantity)
+            for value, p in zip(effect.values, effect.effect.parameters, strict=True)
         ]
         outputs = at_output.simulated(np.concatenate([z, sizes]))
         for index, trial in enumerate(problem.data.trials):

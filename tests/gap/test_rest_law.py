@@ -22,8 +22,10 @@ def law_of(extra, trials=4):
         time_s, angle = swing(release, duration_s=3.0, rate_hz=120.0, extra=extra)
         made.append((time_s, angle + 2e-3 * rng.standard_normal(len(angle))))
     model = parse_model(MODEL, "hinge.toml")
-    found = recalibrate(model, averaged(dataset_of(made), model), np.random.default_rng(0), lambda _: None)
-    return explain_rest(found.problem, found.z, found.noise, np.random.default_rng(0))
+    recalibrated = recalibrate(
+        model, averaged(dataset_of(made), model), np.random.default_rng(0), lambda _: None
+    )
+    return explain_rest(recalibrated.problem, recalibrated.z, recalibrated.noise, np.random.default_rng(0))
 
 
 def coefficient(term):
@@ -39,7 +41,7 @@ def cubic():
 
 def test_a_law_of_one_term_is_found_at_its_size(cubic):
     (term,) = replace(
-        cubic, terms=tuple(replace(one, formula=one.formula.replace("^", "**")) for one in cubic.terms)
+        cubic, terms=tuple(replace(other, formula=other.formula.replace("^", "**")) for other in cubic.terms)
     ).terms
     assert "rate" in term.formula
     assert "**3" in term.formula
@@ -50,21 +52,21 @@ def test_a_law_of_one_term_is_found_at_its_size(cubic):
 
 
 def test_a_law_of_two_terms_is_found_and_a_third_is_not_added():
-    found = law_of(lambda angle, rate: -3e-6 * rate**3 - 0.01 * angle * abs(angle))
-    assert len(found.terms) == 2
-    assert {one.formula.count("abs") for one in found.terms} == {0, 1}
+    law = law_of(lambda angle, rate: -3e-6 * rate**3 - 0.01 * angle * abs(angle))
+    assert len(law.terms) == 2
+    assert {term.formula.count("abs") for term in law.terms} == {0, 1}
 
 
 def test_of_noise_alone_there_is_no_law():
-    found = law_of(lambda *_: 0.0)
-    assert found.terms == ()
-    assert "predicts what is left" in found.sentence
+    law = law_of(lambda *_: 0.0)
+    assert law.terms == ()
+    assert "predicts what is left" in law.sentence
 
 
 def test_one_trial_is_withheld_block_by_block():
-    found = law_of(lambda _, rate: -2e-5 * rate**3, trials=1)
-    assert len(found.terms) == 1
-    assert found.share > 0.9
+    law = law_of(lambda _, rate: -2e-5 * rate**3, trials=1)
+    assert len(law.terms) == 1
+    assert law.share > 0.9
 
 
 def test_the_law_is_written_as_an_effect_and_the_model_carries_it(cubic, tmp_path):
@@ -74,7 +76,7 @@ def test_the_law_is_written_as_an_effect_and_the_model_carries_it(cubic, tmp_pat
         diagnosis, tmp_path / "hinge.toml", tmp_path / "rest-law.toml", tmp_path / "rest-model.toml"
     )
     carried = load_model(tmp_path / "rest-model.toml").effects
-    assert [one.values for one in carried] == [cubic.values]
+    assert [effect.values for effect in carried] == [cubic.values]
     assert load_model(tmp_path / "rest-model.toml").origin.model.endswith("hinge.toml")
     lines = [line.plain for line in gap_lines(diagnosis, 100)]
     assert any(line.startswith("law") and "Missing force at hinge" in line for line in lines)

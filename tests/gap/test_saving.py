@@ -56,7 +56,7 @@ def test_a_second_diagnosis_with_the_corrected_model_finds_nothing_left(bench):
 def test_the_corrected_model_says_what_it_was_corrected_by(bench):
     *_, model = bench
     assert "orrected" in model.read_text()
-    assert [one.effect.id for one in load_model(model).effects]
+    assert [effect.effect.id for effect in load_model(model).effects]
 
 
 def test_a_ratio_is_written_without_a_unit(bench, tmp_path):

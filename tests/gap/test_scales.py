@@ -31,9 +31,9 @@ def test_an_output_is_measured_in_nearly_the_largest_that_was_recorded_of_it():
 
 def test_a_site_whose_coordinate_nothing_depends_on_has_a_scale_all_the_same():
     whole = scales(PENDULUM)["joint", "hinge"]
-    found = scales(PENDULUM.replace('coordinate = "angle"', 'coordinate = "0"'))["joint", "hinge"]
-    assert found.rate == pytest.approx(whole.rate)
-    assert found.coordinate == pytest.approx(whole.rate * whole.time_s / (2 * np.pi))
+    joint = scales(PENDULUM.replace('coordinate = "angle"', 'coordinate = "0"'))["joint", "hinge"]
+    assert joint.rate == pytest.approx(whole.rate)
+    assert joint.coordinate == pytest.approx(whole.rate * whole.time_s / (2 * np.pi))
 
 
 FREE_AXIS = """
@@ -97,18 +97,18 @@ def test_a_free_axis_takes_more_torque_than_what_would_keep_it_at_its_speed():
     model = parse_model(FREE_AXIS, "axis.toml")
     problem = stated_problem(model, averaged(shaken(), model))
     scale = site_scales(problem, problem.priors.stated)["joint", "motor"]
-    asked = max(float(np.percentile(np.abs(one.inputs), 99.0)) for one in shaken().trials)
+    asked = max(float(np.percentile(np.abs(trial.inputs), 99.0)) for trial in shaken().trials)
     assert scale.of("load") == pytest.approx(asked, rel=0.01)
     assert scale.of("load") > 2.0 * scale.of("force")
 
 
 def test_a_transmission_that_gives_way_is_found_in_an_axis_that_goes_far():
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         shaken(),
         parse_model(FREE_AXIS, "axis.toml"),
         among("elastic-transmission", "coulomb-friction", "lag", "delay"),
     )
-    (cause,) = found.causes
+    (cause,) = dataset.causes
     assert str(cause.name) == "elastic-transmission at motor"
     period_s = np.sqrt(LINK["inertia"] / LINK["stiffness"])
     ratio = LINK["damping"] / (2.0 * np.sqrt(LINK["inertia"] * LINK["stiffness"]))

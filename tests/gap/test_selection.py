@@ -53,18 +53,18 @@ def test_one_cause_is_named_with_all_of_the_gap(friction: Diagnosis) -> None:
 
 
 def test_a_control_without_a_gap_has_no_cause() -> None:
-    found = diagnose_dataset(recorded(conditions=CONDITIONS[:3]), pendulum(), FEW)
-    assert found.causes == ()
-    assert found.verdict == "no-gap"
-    assert found.rest.within_noise
+    dataset = diagnose_dataset(recorded(conditions=CONDITIONS[:3]), pendulum(), FEW)
+    assert dataset.causes == ()
+    assert dataset.verdict == "no-gap"
+    assert dataset.rest.within_noise
 
 
 def test_a_control_that_was_never_repeated_has_no_cause_and_what_is_left_is_not_called_noise() -> None:
-    found = diagnose_dataset(recorded(conditions=CONDITIONS[:4], repeats=1), pendulum(), FEW)
-    assert found.causes == ()
-    assert found.verdict == "cannot-tell"
-    assert not found.rest.within_noise
-    assert "no gap" not in found.sentence.lower()
+    dataset = diagnose_dataset(recorded(conditions=CONDITIONS[:4], repeats=1), pendulum(), FEW)
+    assert dataset.causes == ()
+    assert dataset.verdict == "cannot-tell"
+    assert not dataset.rest.within_noise
+    assert "no gap" not in dataset.sentence.lower()
 
 
 def test_dry_friction_and_drag_that_help_only_together_are_both_named() -> None:
@@ -78,51 +78,51 @@ def test_dry_friction_and_drag_that_help_only_together_are_both_named() -> None:
             extra=lambda _, rate: -6e-4 * float(np.tanh(rate / 0.02)) - 1.2e-5 * abs(rate) * rate,
         )
         swings.append((time_s, angle + 5e-4 * rng.standard_normal(len(angle))))
-    found = diagnose_dataset(dataset_of(swings), parse_model(MODEL, "hinge.toml"), THREE)
-    assert causes(found) == {"coulomb-friction at hinge", "quadratic-drag at hinge"}
+    dataset = diagnose_dataset(dataset_of(swings), parse_model(MODEL, "hinge.toml"), THREE)
+    assert causes(dataset) == {"coulomb-friction at hinge", "quadratic-drag at hinge"}
     sizes: Mapping[str, float] = {
-        cause.name.effect: next(iter(cause.values.values())).value for cause in found.causes
+        cause.name.effect: next(iter(cause.values.values())).value for cause in dataset.causes
     }
     assert sizes["coulomb-friction"] == pytest.approx(6e-4, rel=0.1)
-    assert found.verdict == "explained"
+    assert dataset.verdict == "explained"
 
 
 # --- a cause beside something unknown --------------------------------------------------------------------------------
 
 
 def test_a_cause_that_closes_a_part_is_named_and_the_rest_is_described(friction_and_more: Diagnosis) -> None:
-    found = friction_and_more
-    assert "coulomb-friction at hinge" in causes(found)
-    assert found.verdict in ("mostly-explained", "partly-explained")
-    assert 0.1 < found.rest.share_of_gap < 1.0
-    assert found.rest.predictable is not None
-    assert found.rest.predictable > 0.3
-    assert "position of hinge" in found.rest.depends_on or "angle" in found.rest.depends_on
+    diagnosis = friction_and_more
+    assert "coulomb-friction at hinge" in causes(diagnosis)
+    assert diagnosis.verdict in ("mostly-explained", "partly-explained")
+    assert 0.1 < diagnosis.rest.share_of_gap < 1.0
+    assert diagnosis.rest.predictable is not None
+    assert diagnosis.rest.predictable > 0.3
+    assert "position of hinge" in diagnosis.rest.depends_on or "angle" in diagnosis.rest.depends_on
 
 
 def test_the_rungs_of_the_ladder_and_the_rest_add_up_to_the_gap(friction_and_more: Diagnosis) -> None:
-    found = friction_and_more
-    assert [rung.step for rung in found.ladder[:2]] == ["as stated", "recalibrated"]
-    assert [rung.cause for rung in found.ladder[2:]] == [cause.name for cause in found.causes]
-    assert sum(rung.closes for rung in found.ladder) + found.rest.share_of_gap == pytest.approx(1.0)
-    assert found.ladder[-1].in_noise == found.rest.in_noise == found.gap.after
-    assert found.ladder[1].in_noise == found.gap.recalibrated
-    errors = [rung.errors["angle"] for rung in found.ladder]
+    diagnosis = friction_and_more
+    assert [rung.step for rung in diagnosis.ladder[:2]] == ["as stated", "recalibrated"]
+    assert [rung.cause for rung in diagnosis.ladder[2:]] == [cause.name for cause in diagnosis.causes]
+    assert sum(rung.closes for rung in diagnosis.ladder) + diagnosis.rest.share_of_gap == pytest.approx(1.0)
+    assert diagnosis.ladder[-1].in_noise == diagnosis.rest.in_noise == diagnosis.gap.after
+    assert diagnosis.ladder[1].in_noise == diagnosis.gap.recalibrated
+    errors = [rung.errors["angle"] for rung in diagnosis.ladder]
     assert errors == sorted(errors, reverse=True)
 
 
 def test_text_page_and_json_tell_the_same_errors(friction_and_more: Diagnosis) -> None:
-    found = friction_and_more
-    answer = json.loads(json.dumps(found.to_json(), allow_nan=False))
-    page = diagnosis_page(found)
-    text = "\n".join(line.plain for line in gap_lines(found, 140))
-    assert [rung["step"] for rung in answer["ladder"]] == [rung.step for rung in found.ladder]
+    diagnosis = friction_and_more
+    answer = json.loads(json.dumps(diagnosis.to_json(), allow_nan=False))
+    page = diagnosis_page(diagnosis)
+    text = "\n".join(line.plain for line in gap_lines(diagnosis, 140))
+    assert [rung["step"] for rung in answer["ladder"]] == [rung.step for rung in diagnosis.ladder]
     for rung in answer["ladder"]:
         assert rung["errors"]["angle"]["unit"] == "rad"
         assert f"{rung['errors']['angle']['value']:.2g}" in text
         assert f"{rung['errors']['angle']['value']:.3g}" in page
-    assert answer["rest"]["share_of_gap"] == found.rest.share_of_gap
-    assert f"{100 * found.rest.share_of_gap:.0f} % of the gap" in text.replace("\u00a0", " ")
+    assert answer["rest"]["share_of_gap"] == diagnosis.rest.share_of_gap
+    assert f"{100 * diagnosis.rest.share_of_gap:.0f} % of the gap" in text.replace("\u00a0", " ")
 
 
 def test_every_candidate_has_a_status_and_causes_come_first(friction_and_more: Diagnosis) -> None:
@@ -135,10 +135,10 @@ def test_every_candidate_has_a_status_and_causes_come_first(friction_and_more: D
 
 
 def test_what_parameters_imitate_is_not_visible() -> None:
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         recorded(dry_friction(0.006), conditions=CONDITIONS[:3], repeats=2),
         pendulum(),
         among("coulomb-friction", "viscous-damping"),
     )
-    damping = next(row for row in found.candidates if row.name.effect == "viscous-damping")
+    damping = next(row for row in dataset.candidates if row.name.effect == "viscous-damping")
     assert damping.verdict == "not-visible"  # the model's own damping is free

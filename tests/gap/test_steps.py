@@ -24,7 +24,7 @@ FAR = 1
 def stopped() -> tuple[Problem, np.ndarray]:
     """Return a problem with a hard stop that one of two conditions reaches, and where it stands."""
     problem = _swinging()
-    reach = [float(np.max(np.abs(one))) for one in problem.simulated(problem.priors.stated)]
+    reach = [float(np.max(np.abs(simulated))) for simulated in problem.simulated(problem.priors.stated)]
     assert reach[FAR] > 1.2 * reach[1 - FAR]
     level = 0.5 * sum(reach)
     return _beside(problem, "end-stop", upper=level, lower=-level, stiffness=200.0)
@@ -38,13 +38,13 @@ def _swinging() -> Problem:
 def _beside(problem: Problem, effect: str, **sizes: float) -> tuple[Problem, np.ndarray]:
     """Return the problem with an effect of these sizes, and where it stands."""
     candidate = Candidate(Name(effect, "hinge"), load_effect(effect).attach("hinge", **sizes), Scale(), ())
-    beside = candidate.added_to(problem)
-    free = beside.priors.values[beside.priors.free] / beside.priors.scale
-    return beside, np.concatenate([free, problem.own_states(problem.priors.stated)])
+    extended = candidate.added_to(problem)
+    free = extended.priors.values[extended.priors.free] / extended.priors.scale
+    return extended, np.concatenate([free, problem.own_states(problem.priors.stated)])
 
 
 def _squares(problem: Problem, z: np.ndarray) -> np.ndarray:
-    return np.array([float(one @ one) for one in problem.residuals(z)])
+    return np.array([float(residual @ residual) for residual in problem.residuals(z)])
 
 
 def test_steps_are_shortened_in_the_trials_alone_where_that_changes_anything(stopped) -> None:
@@ -74,13 +74,13 @@ def test_steps_are_short_near_reversals_alone_where_friction_turns_sharply(rubbi
 def test_short_steps_in_some_intervals_leave_what_those_in_all_of_them_do(rubbing) -> None:
     problem, z = rubbing
     moved = 1e-4 * problem.squares(z)
-    everywhere = problem.with_steps([4 * one for one in problem.steps])
+    everywhere = problem.with_steps([4 * step for step in problem.steps])
     fine, present = _squares(everywhere, z), _squares(problem, z)
     mixed = in_shorter_steps(problem, z, moved)
     assert abs(np.sum(fine - present)) > moved
     assert abs(np.sum(fine - _squares(mixed, z))) <= moved
-    assert sum(len(one.steps_s) for one in mixed.drives) < 0.6 * sum(
-        len(one.steps_s) for one in everywhere.drives
+    assert sum(len(drive.steps_s) for drive in mixed.drives) < 0.6 * sum(
+        len(drive.steps_s) for drive in everywhere.drives
     )
 
 
@@ -101,9 +101,9 @@ def test_short_steps_only_grow_until_shorter_ones_change_nothing(rubbing) -> Non
 def test_a_beginning_keeps_the_steps_of_its_intervals(rubbing) -> None:
     problem, z = rubbing
     mixed = in_shorter_steps(problem, z, 1e-4 * problem.squares(z))
-    begun, whole = mixed.beginning(0.3), mixed.simulated(z)
+    beginning, whole = mixed.beginning(0.3), mixed.simulated(z)
     for counts, first, all_counts, outputs in zip(
-        begun.steps, begun.simulated(z), mixed.steps, whole, strict=True
+        beginning.steps, beginning.simulated(z), mixed.steps, whole, strict=True
     ):
         np.testing.assert_array_equal(counts, all_counts[: len(counts)])
         assert first[:-1] == pytest.approx(outputs[: len(first) - 1], abs=1e-12)
@@ -165,28 +165,28 @@ def test_a_delay_in_a_loop_is_looked_at_in_steps_that_are_short_beside_it() -> N
     problem, z = recalibrated.problem, recalibrated.z
     base = Base.of(problem, z)
     (late,) = [
-        one
-        for one in candidates(model, site_scales(problem, z), ())
-        if one.name == Name("loop-delay", "joint")
+        candidate
+        for candidate in candidates(model, site_scales(problem, z), ())
+        if candidate.name == Name("loop-delay", "joint")
     ]
     assert survey(base, late).potential > 0.7 * base.squares
-    (found,) = screen_all(base, [survey(base, late)])
-    assert found.sizes[0] * late.scale.of("time") == pytest.approx(0.01, rel=0.1)
-    assert found.gain > 0.98 * base.squares
+    (result,) = screen_all(base, [survey(base, late)])
+    assert result.sizes[0] * late.scale.of("time") == pytest.approx(0.01, rel=0.1)
+    assert result.gain > 0.98 * base.squares
 
 
 def test_what_is_slow_beside_the_samples_and_a_parameter_take_the_steps_of_their_base() -> None:
     model = parse_model(SERVO, "servo.toml")
-    found = recalibrate(model, averaged(late_servo(0.01), model), np.random.default_rng(0), silent)
-    scales = site_scales(found.problem, found.z)
-    every = {str(one.name): one for one in candidates(model, scales, ())}
+    recalibrated = recalibrate(model, averaged(late_servo(0.01), model), np.random.default_rng(0), silent)
+    scales = site_scales(recalibrated.problem, recalibrated.z)
+    every = {str(candidate.name): candidate for candidate in candidates(model, scales, ())}
     late, creep = every["loop-delay at joint"], every["viscoelastic-creep at joint"]
-    problem = late.added_to(found.problem)
-    z = np.concatenate([found.z[: found.problem.size], [0.01 / late.scale.of("time")]])
+    problem = late.added_to(recalibrated.problem)
+    z = np.concatenate([recalibrated.z[: recalibrated.problem.size], [0.01 / late.scale.of("time")]])
     base = Base.of(problem, z, (late,))
-    for one in (every["parameter inertia"], creep):
-        assert one.pace_s(one.starts[0] if one.variables else ()) > 3.0 * 0.01
-        looked = survey(base, one)
+    for simulated in (every["parameter inertia"], creep):
+        assert simulated.pace_s(simulated.starts[0] if simulated.variables else ()) > 3.0 * 0.01
+        looked = survey(base, simulated)
         steps = in_steps_that_follow(looked.problem, looked.starts[0], base.residual, np.inf)[0].steps
         assert all(np.array_equal(mine, theirs) for mine, theirs in zip(steps, problem.steps, strict=True))
 

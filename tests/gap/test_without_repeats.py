@@ -84,48 +84,49 @@ def test_white_noise_has_an_independent_number_to_each_sample_and_a_sine_few_to_
 @pytest.mark.parametrize("slow", [0.0, 0.05])
 def test_the_noise_of_a_sensor_is_seen_beside_a_slow_gap(slow: float) -> None:
     data = recorded(repeats=1, noise=0.004)
-    data = replace(data, trials=tuple(replace(one, members=(one.outputs,)) for one in data.trials))
+    data = replace(data, trials=tuple(replace(trial, members=(trial.outputs,)) for trial in data.trials))
     rng = np.random.default_rng(1)
     residual = [
-        0.004 * rng.standard_normal(one.outputs.shape) + slow * np.sin(2 * np.pi * 0.7 * one.time_s)[:, None]
-        for one in data.trials
+        0.004 * rng.standard_normal(trial.outputs.shape)
+        + slow * np.sin(2 * np.pi * 0.7 * trial.time_s)[:, None]
+        for trial in data.trials
     ]
     assert of_sensor(data, residual).sd[0] == pytest.approx(0.004, rel=0.1)
 
 
 def test_jumps_where_friction_turns_are_no_noise_of_a_sensor() -> None:
     data = recorded(repeats=1, noise=0.004)
-    data = replace(data, trials=tuple(replace(one, members=(one.outputs,)) for one in data.trials))
+    data = replace(data, trials=tuple(replace(trial, members=(trial.outputs,)) for trial in data.trials))
     rng = np.random.default_rng(1)
     residual = [
-        0.004 * rng.standard_normal(one.outputs.shape) + 0.2 * np.sign(np.sin(7 * one.time_s))[:, None]
-        for one in data.trials
+        0.004 * rng.standard_normal(trial.outputs.shape) + 0.2 * np.sign(np.sin(7 * trial.time_s))[:, None]
+        for trial in data.trials
     ]
     assert of_sensor(data, residual).sd[0] == pytest.approx(0.004, rel=0.2)
 
 
 def test_an_offset_that_four_trials_share_is_told_though_it_has_no_phase() -> None:
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         recorded(repeats=1, conditions=CONDITIONS[:4], seen=lambda angle: angle + 0.02), pendulum(), FEW
     )
-    assert [str(one.name) for one in found.causes] == ["bias at angle"]
-    assert found.causes[0].values["offset"].value == pytest.approx(0.02, rel=0.1)
+    assert [str(cause.name) for cause in dataset.causes] == ["bias at angle"]
+    assert dataset.causes[0].values["offset"].value == pytest.approx(0.02, rel=0.1)
 
 
 def test_friction_is_named_from_trials_that_were_never_repeated() -> None:
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         recorded(dry_friction(0.006), repeats=1, conditions=CONDITIONS[:3]), pendulum(), FEW
     )
-    assert [str(one.name) for one in found.causes] == ["coulomb-friction at hinge"]
-    assert found.causes[0].values["torque"].value == pytest.approx(0.006, rel=0.1)
-    assert found.verdict == "explained"
+    assert [str(cause.name) for cause in dataset.causes] == ["coulomb-friction at hinge"]
+    assert dataset.causes[0].values["torque"].value == pytest.approx(0.006, rel=0.1)
+    assert dataset.verdict == "explained"
 
 
 def test_what_no_model_predicts_is_not_called_a_gap() -> None:
-    found = diagnose_dataset(recorded(nothing, repeats=1), pendulum(), FEW)
-    assert not found.causes
-    assert found.verdict == "cannot-tell"
-    assert found.gap.recalibrated <= found.gap.raw
+    dataset = diagnose_dataset(recorded(nothing, repeats=1), pendulum(), FEW)
+    assert not dataset.causes
+    assert dataset.verdict == "cannot-tell"
+    assert dataset.gap.recalibrated <= dataset.gap.raw
 
 
 @pytest.mark.slow
@@ -150,15 +151,15 @@ def friction_and_drag(t: float, q: float, v: float) -> float:
 @pytest.mark.slow
 def test_friction_with_a_sharper_sign_is_no_other_friction() -> None:
     data = recorded(sharp_friction, repeats=1, noise=1e-4)
-    found = diagnose_dataset(data, pendulum(), QUICK)
-    assert [str(one.name) for one in found.causes] == ["coulomb-friction at hinge"]
-    assert found.causes[0].values["torque"].value == pytest.approx(0.006, rel=0.03)
+    dataset = diagnose_dataset(data, pendulum(), QUICK)
+    assert [str(cause.name) for cause in dataset.causes] == ["coulomb-friction at hinge"]
+    assert dataset.causes[0].values["torque"].value == pytest.approx(0.006, rel=0.03)
 
 
 @pytest.mark.slow
 def test_two_simple_causes_are_preferred_to_a_rich_one() -> None:
-    found = diagnose_dataset(recorded(friction_and_drag, repeats=1, noise=2e-4), pendulum(), QUICK)
-    assert {one.name.effect for one in found.causes} == {"coulomb-friction", "quadratic-drag"}
+    dataset = diagnose_dataset(recorded(friction_and_drag, repeats=1, noise=2e-4), pendulum(), QUICK)
+    assert {cause.name.effect for cause in dataset.causes} == {"coulomb-friction", "quadratic-drag"}
 
 
 @pytest.mark.slow
@@ -181,8 +182,8 @@ def test_dry_friction_behind_a_lag_is_not_taken_for_play() -> None:
     trial = FitTrial("a log", {}, 1, time_s, pressure[:, None], position[:, None])
     channels = (SignalInfo("pressure", "bar", "linear"),), (SignalInfo("position", "m", "linear"),)
     data = Dataset("muscle", Path("muscle"), "recording", *channels, (trial,))
-    found = diagnose_dataset(data, parse_model(MUSCLE, "muscle.toml"), QUICK)
-    sizes = {one.name.effect: one.values for one in found.causes}
+    dataset = diagnose_dataset(data, parse_model(MUSCLE, "muscle.toml"), QUICK)
+    sizes = {cause.name.effect: cause.values for cause in dataset.causes}
     assert sizes["coulomb-friction"]["torque"].value == pytest.approx(4.0, rel=0.02)
     assert sizes["coulomb-friction"]["presliding"].value == pytest.approx(4.0 / 8000.0, rel=0.02)
     assert sizes["lag"]["time_constant"].value == pytest.approx(0.06, rel=0.02)
@@ -210,13 +211,13 @@ def test_a_loop_of_another_shape_is_one_hysteresis_and_no_second_cause_beside_it
     data = Dataset(
         "spring", Path("spring"), "recording", channels, (SignalInfo("force", "N", "linear"),), tuple(trials)
     )
-    found = diagnose_dataset(
+    dataset = diagnose_dataset(
         data, parse_model(SPRING, "spring.toml"), among(*DRY, "hysteresis", "cogging", "quadratic-drag")
     )
-    assert [one.name.effect for one in found.causes] == ["hysteresis"]
+    assert [cause.name.effect for cause in dataset.causes] == ["hysteresis"]
     # the library's loop reaches 2/(1 + gamma) in units of its force
-    assert found.causes[0].values["force"].value == pytest.approx(2.5 * 1.8 / 2, rel=0.03)
-    assert found.causes[0].values["gamma_over_beta"].value == pytest.approx(0.8, abs=0.1)
+    assert dataset.causes[0].values["force"].value == pytest.approx(2.5 * 1.8 / 2, rel=0.03)
+    assert dataset.causes[0].values["gamma_over_beta"].value == pytest.approx(0.8, abs=0.1)
 
 
 def test_drag_is_named_beside_an_output_that_lacks_nothing() -> None:
@@ -233,8 +234,8 @@ def test_drag_is_named_beside_an_output_that_lacks_nothing() -> None:
     inputs_are = SignalInfo("position", "m", "linear"), SignalInfo("speed", "m/s", "linear")
     outputs_are = SignalInfo("force", "N", "linear"), SignalInfo("side", "N", "linear")
     data = Dataset("spring", Path("spring"), "recording", inputs_are, outputs_are, tuple(trials))
-    found = diagnose_dataset(data, parse_model(DAMPED_SPRING, "spring.toml"), among(*DRY, "quadratic-drag"))
-    (drag,) = found.causes
+    dataset = diagnose_dataset(data, parse_model(DAMPED_SPRING, "spring.toml"), among(*DRY, "quadratic-drag"))
+    (drag,) = dataset.causes
     assert drag.name.effect == "quadratic-drag"
     assert drag.closes > 0.8
     assert drag.refers_to["reference"][1] == "m/s"
@@ -248,9 +249,9 @@ def test_a_drift_that_is_all_that_is_left_beside_friction_is_told_though_it_is_s
         noise=0.004,
         seen=lambda angle: angle + 4.5e-3 * np.arange(len(angle)) / 100,
     )
-    found = diagnose_dataset(data, pendulum(), QUICK)
-    assert [str(one.name) for one in found.causes] == ["coulomb-friction at hinge", "drift at angle"]
-    assert found.causes[1].values["slope"].value == pytest.approx(4.5e-3, rel=0.15)
+    dataset = diagnose_dataset(data, pendulum(), QUICK)
+    assert [str(cause.name) for cause in dataset.causes] == ["coulomb-friction at hinge", "drift at angle"]
+    assert dataset.causes[1].values["slope"].value == pytest.approx(4.5e-3, rel=0.15)
 
 
 BELT = """
@@ -285,7 +286,7 @@ def test_what_mends_a_part_of_a_form_and_leaves_as_much_to_be_learned_is_no_seco
     time_s, rng = np.arange(0.0, 4.0, 1 / 250), np.random.default_rng(2)
     begun = np.clip(time_s / 0.3, 0.0, 1.0)
     steps, last = np.zeros_like(time_s), 0.0
-    for start_s, lasts_s, place in [
+    for start_s, lasts_s, index in [
         (0.2, 0.08, 6),
         (0.9, 0.08, -4),
         (1.6, 0.06, 4),
@@ -293,7 +294,7 @@ def test_what_mends_a_part_of_a_form_and_leaves_as_much_to_be_learned_is_no_seco
         (3.2, 0.05, 9),
     ]:
         part = np.clip((time_s - start_s) / lasts_s, 0.0, 1.0)
-        steps, last = steps + (1e-3 * place - last) * part**2 * (3.0 - 2.0 * part), 1e-3 * place
+        steps, last = steps + (1e-3 * index - last) * part**2 * (3.0 - 2.0 * part), 1e-3 * index
     chirp = 1.5e-3 * np.sin(2 * np.pi * (0.5 * time_s + 2.125 * time_s**2)) * begun
     phases = rng.uniform(0.0, 6.28, 7)
     waves = zip([30, 15, 8, 6, 5, 4, 3], [0.9, 2.3, 4.1, 6.7, 9.1, 11.9, 14.3], phases, strict=True)
@@ -313,7 +314,7 @@ def test_what_mends_a_part_of_a_form_and_leaves_as_much_to_be_learned_is_no_seco
         seen = moved.y[0] + 1.2e-5 * rng.standard_normal(len(time_s))
         trials.append(FitTrial(str(index), {"motion": float(index)}, 1, time_s, goal[:, None], seen[:, None]))
     data = logged("belt", SignalInfo("goal", "m", "linear"), SignalInfo("motor", "m", "linear"), trials)
-    found = diagnose_dataset(data, parse_model(BELT, "belt.toml"), QUICK)
-    (cause,) = found.causes
+    dataset = diagnose_dataset(data, parse_model(BELT, "belt.toml"), QUICK)
+    (cause,) = dataset.causes
     assert str(cause.name) == "elastic-transmission at axis"
     assert cause.values["inertia"].value == pytest.approx(1.83, rel=0.03)

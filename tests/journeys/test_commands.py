@@ -30,13 +30,13 @@ SEARCH = (
 )  # fmt: skip
 
 
-def _is_a_promised_result(found: dict, unit: str) -> None:
-    assert set(found) >= {"run", "trials", "best"}
-    assert set(found["trials"]) == {"done", "rejected", "failed"}
-    low, high = found["best"]["objective"]["ci95"]
-    assert low <= found["best"]["objective"]["value"] <= high
-    assert found["best"]["objective"]["unit"] == unit
-    assert isinstance(found["best"]["luckiest"], float)
+def _is_a_promised_result(results: dict, unit: str) -> None:
+    assert set(results) >= {"run", "trials", "best"}
+    assert set(results["trials"]) == {"done", "rejected", "failed"}
+    low, high = results["best"]["objective"]["ci95"]
+    assert low <= results["best"]["objective"]["value"] <= high
+    assert results["best"]["objective"]["unit"] == unit
+    assert isinstance(results["best"]["luckiest"], float)
 
 
 @pytest.fixture(scope="module")
@@ -51,15 +51,15 @@ def finished(labrun_once):
 @pytest.fixture
 def hinge(finished, tmp_path) -> Path:
     """A copy of it, in the folder of the test."""
-    told, folder = finished
+    message, folder = finished
     shutil.copytree(folder / "results", tmp_path / "results")
-    return Path(told["run"])
+    return Path(message["run"])
 
 
 def test_a_run_without_a_goal_has_no_best(finished):
-    told, _ = finished
-    assert told["trials"] == {"done": 4, "rejected": 0, "failed": 0}
-    assert told["best"] is None
+    message, _ = finished
+    assert message["trials"] == {"done": 4, "rejected": 0, "failed": 0}
+    assert message["best"] is None
 
 
 def test_a_sweep_names_an_honest_best(labrun):

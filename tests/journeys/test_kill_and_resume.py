@@ -48,8 +48,8 @@ ASKED = (
 
 def _run(folder: Path) -> Path | None:
     """Return the folder of the one run there is, once it is there."""
-    found = list(folder.glob("results/*/*/spec.toml"))
-    return found[0].parent if found else None
+    result = list(folder.glob("results/*/*/spec.toml"))
+    return result[0].parent if result else None
 
 
 def _journal_size(folder: Path) -> int:
@@ -141,8 +141,8 @@ def test_a_design_killed_at_random_instants_is_the_same_design(labrun, command, 
         pytest.param(SWEEP, 2, id="sweep"),
         pytest.param(SEARCH, 2, id="search"),
         *(
-            pytest.param(one, most, id=f"{name}-{most}", marks=pytest.mark.slow)
-            for name, one, most in (
+            pytest.param(entry, most, id=f"{name}-{most}", marks=pytest.mark.slow)
+            for name, entry, most in (
                 ("sweep", SWEEP, 50), ("search", SEARCH, 50), ("over", OVER, 8), ("each", EACH, 8), ("asked", ASKED, 8),
                 ("track", TRACK, 8),
             )

@@ -46,9 +46,11 @@ def _killed_when(command: list[str], folder: Path, ready: Callable[[], bool]) ->
 
 def _cycles(folder: Path) -> list[float]:
     """Return the peak torques of the cycles on disk."""
-    lines = [one for log in folder.glob("results/*/*/cycles/*.jsonl") for one in log.read_text().splitlines()]
-    whole = [json.loads(one) for one in lines if one.endswith("}")]
-    return [one["values"]["peak_torque"] for one in whole if one["event"] == "cycle"]
+    lines = [
+        line for log in folder.glob("results/*/*/cycles/*.jsonl") for line in log.read_text().splitlines()
+    ]
+    whole = [json.loads(line) for line in lines if line.endswith("}")]
+    return [loads["values"]["peak_torque"] for loads in whole if loads["event"] == "cycle"]
 
 
 @pytest.mark.slow
@@ -66,11 +68,11 @@ import labrun
 cycles = labrun.open("hinge-life").signals("cycles", trial=0)
 print(cycles.peak_torque.values.tolist())
 """
-    told = subprocess.run(
+    result = subprocess.run(
         [*command[:-2], "-c", read], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    assert told.returncode == 0, told.stderr
-    torques = json.loads(told.stdout)
+    assert result.returncode == 0, result.stderr
+    torques = json.loads(result.stdout)
     assert len(torques) == 7
     assert torques[: len(before)] == pytest.approx(before)
 

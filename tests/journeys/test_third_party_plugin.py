@@ -59,11 +59,11 @@ def env(site) -> dict[str, str]:
 
 
 def test_plugins_lists_it_with_its_origin_and_the_broken_one_with_its_cause(labrun, env):
-    found = {entry["name"]: entry for entry in labrun("plugins", "--json", env=env).json["plugins"]}
+    entries = {entry["name"]: entry for entry in labrun("plugins", "--json", env=env).json["plugins"]}
     for name in ("simulated-load-cell", "triangle", "impulse"):
-        assert found[name]["origin"] == "labrun-paddle 1.2.3"
-        assert found[name]["cause"] == ""
-    assert "a_library_that_nobody_has" in found["broken"]["cause"]
+        assert entries[name]["origin"] == "labrun-paddle 1.2.3"
+        assert entries[name]["cause"] == ""
+    assert "a_library_that_nobody_has" in entries["broken"]["cause"]
 
 
 def test_an_experiment_runs_on_its_device_gait_and_objective(labrun, env, tmp_path):

@@ -29,10 +29,10 @@ def sweep(command, tmp_path):
     with subprocess.Popen(
         [*command, *SWEEP], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
-        while not (found := list(tmp_path.glob("results/*/*/spec.toml"))):
+        while not (result := list(tmp_path.glob("results/*/*/spec.toml"))):
             assert process.poll() is None, process.stderr.read().decode()
             time.sleep(0.01)
-        yield process, found[0].parent
+        yield process, result[0].parent
         if process.poll() is None:
             process.kill()
 

@@ -45,8 +45,8 @@ def deep(seed=1):
 def test_exact_affine_is_what_least_squares_says_without_any_scaling():
     x, y = data()
     plain = np.column_stack([x, np.ones(len(x))])
-    found = plain @ np.linalg.lstsq(plain, y, rcond=None)[0]
-    np.testing.assert_allclose(exact_affine(x, y)(x), found, atol=1e-9)
+    result = plain @ np.linalg.lstsq(plain, y, rcond=None)[0]
+    np.testing.assert_allclose(exact_affine(x, y)(x), result, atol=1e-9)
 
 
 def test_a_network_with_identity_activation_is_one_affine_layer_however_deep():
@@ -70,8 +70,8 @@ def test_a_window_that_slides_gives_what_regression_on_it_gives(window):
     # ridge towards w0 as rows of data: sqrt(ridge n) (w - w0) = 0
     weight = np.sqrt(ridge * len(z)) * np.eye(4)
     wanted = np.linalg.lstsq(np.vstack([z, weight]), np.vstack([target, weight @ w0]), rcond=None)[0]
-    found = np.vstack([sliding.solved().weights[0], sliding.solved().biases[0]])
-    np.testing.assert_allclose(found, wanted, atol=1e-8)
+    result = np.vstack([sliding.solved().weights[0], sliding.solved().biases[0]])
+    np.testing.assert_allclose(result, wanted, atol=1e-8)
 
 
 def test_without_a_ridge_directions_that_no_sample_moves_in_stay_as_they_were():
@@ -104,7 +104,7 @@ def test_identity_by_lbfgs_comes_to_exact_affine_least_squares():
     x, y = data()
     network, took_s = train(Training(hidden=(4, 4)), x, y, seed=1)
     assert took_s > 0
-    errors = [np.abs(one(x) - y).mean() for one in (network, exact_affine(x, y))]
+    errors = [np.abs(other(x) - y).mean() for other in (network, exact_affine(x, y))]
     assert errors[0] <= 1.05 * errors[1]
 
 
@@ -112,7 +112,7 @@ def test_training_goes_on_from_the_weights_it_is_given():
     x, y = data()
     begin, _ = train(Training(most_iterations=1), x, y, seed=1)
     further, _ = train(Training(most_iterations=5), x, y, seed=2, start=begin)
-    before, after = (np.abs(one(x) - y).mean() for one in (begin, further))
+    before, after = (np.abs(network(x) - y).mean() for network in (begin, further))
     assert after < before
     np.testing.assert_array_equal(further.inputs.mean, begin.inputs.mean)
 
@@ -130,11 +130,11 @@ def written(folder, model, stem="net"):
 
 
 def test_a_model_comes_back_from_its_files_to_the_last_bit(tmp_path):
-    found = read_learned(written(tmp_path, model()))
+    result = read_learned(written(tmp_path, model()))
     x, _ = data()
-    np.testing.assert_array_equal(found.network(x), deep()(x))
-    assert (found.inputs, found.outputs, found.rig) == (model().inputs, model().outputs, "bench")
-    np.testing.assert_array_equal(from_table(to_table(found)).network(x), deep()(x))
+    np.testing.assert_array_equal(result.network(x), deep()(x))
+    assert (result.inputs, result.outputs, result.rig) == (model().inputs, model().outputs, "bench")
+    np.testing.assert_array_equal(from_table(to_table(result)).network(x), deep()(x))
 
 
 def test_nothing_in_the_files_can_be_executed(tmp_path):

@@ -87,9 +87,9 @@ def write_lerobot(
     else:
         pq.write_table(pa.concat_tables(tables[:2]), chunk / "file-000.parquet")
         pq.write_table(pa.concat_tables(tables[2:]), chunk / "file-001.parquet")
-        told = pa.table({"episode_index": range(len(tables)), "length": [len(table) for table in tables]})
+        message = pa.table({"episode_index": range(len(tables)), "length": [len(table) for table in tables]})
         (folder / "meta" / "episodes" / "chunk-000").mkdir(parents=True)
-        pq.write_table(told, folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
+        pq.write_table(message, folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
     return folder
 
 

@@ -46,8 +46,8 @@ def test_every_episode_of_a_lerobot_data_set_is_whole(tmp_path, arm, version):
     result = import_log(folder, arm, tmp_path / "recording")
     recording = read_recording(result.folder)
     assert lengths_of(recording) == list(LENGTHS)
-    for trial, (_, told, measured) in zip(recording.trials, made, strict=True):
-        assert trial.inputs == pytest.approx(told, abs=1e-6)
+    for trial, (_, message, measured) in zip(recording.trials, made, strict=True):
+        assert trial.inputs == pytest.approx(message, abs=1e-6)
         assert trial.outputs == pytest.approx(measured, abs=1e-6)
     assert not [text for text in result.remarks if "other topics" in text]
 
@@ -103,8 +103,8 @@ def test_which_time_is_of_which_array_can_be_stated(tmp_path):
 def test_arrays_without_stamps_of_as_many_samples_are_told_to_be_left_out(tmp_path, arm):
     time_s, goals, angles = logs.motion()
     np.savez(tmp_path / "log.npz", time=time_s, ctrl=goals, qpos=angles, imu=np.zeros((77, 3)))
-    said = " ".join(preview_log(tmp_path / "log.npz", arm).remarks)
-    assert "no stamps of as many samples for imu (77); left out" in said
+    message = " ".join(preview_log(tmp_path / "log.npz", arm).remarks)
+    assert "no stamps of as many samples for imu (77); left out" in message
 
 
 def test_episodes_too_short_to_be_trials_are_counted(tmp_path, arm):

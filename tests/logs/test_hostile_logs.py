@@ -101,17 +101,17 @@ def read_or_refuse(path):
 def test_a_damaged_file_is_refused_or_read(tmp_path, sound, name, data):
     content = bytearray(sound(name))
     kind = data.draw(st.sampled_from(["cut", "bytes", "ones", "zeros", "twice"]))
-    place = data.draw(st.integers(0, len(content) - 1))
+    index = data.draw(st.integers(0, len(content) - 1))
     if kind == "cut":
-        del content[place:]
+        del content[index:]
     elif kind == "bytes":
         for byte in data.draw(st.lists(st.integers(0, 255), min_size=1, max_size=8)):
-            content[(place + 37 * byte) % len(content)] = byte
+            content[(index + 37 * byte) % len(content)] = byte
     elif kind == "twice":
-        content[place:place] = content[:place]
+        content[index:index] = content[:index]
     else:
         length = data.draw(st.integers(1, 16))
-        content[place : place + length] = (b"\xff" if kind == "ones" else b"\0") * length
+        content[index : index + length] = (b"\xff" if kind == "ones" else b"\0") * length
     path = tmp_path / name
     path.write_bytes(content)
     read_or_refuse(path)

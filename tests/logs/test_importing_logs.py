@@ -24,7 +24,7 @@ def arm(tmp_path):
 
 def columns(recording, name):
     """Return a channel of all trials, one after another."""
-    names = [one.name for one in (*recording.inputs, *recording.outputs)]
+    names = [signal.name for signal in (*recording.inputs, *recording.outputs)]
     tables = [np.column_stack([trial.inputs, trial.outputs]) for trial in recording.trials]
     return np.concatenate(tables)[:, names.index(name)]
 
@@ -63,7 +63,7 @@ def test_every_kind_of_log_gives_the_recording_of_what_happened(tmp_path, arm, k
         assert len(measured) > 300
         assert measured == pytest.approx(happened[first : first + len(measured)], abs=1e-6)
     model = load_model(folder / "model.toml")
-    assert [one.between for one in model.inputs] == ["hold", "hold"]
+    assert [signal.between for signal in model.inputs] == ["hold", "hold"]
     assert model.initial["shoulder_rate"] == 0.0
 
 
@@ -102,10 +102,10 @@ def test_a_column_that_is_there_is_never_called_missing(tmp_path, arm):
     log = logs.write_csv(tmp_path / "log.csv", *logs.motion(), names=["t", "u1", "u2", "m1", "m2"])
     with pytest.raises(RequestError) as refused:
         import_log(log, arm, tmp_path / "recording", mapping=["shoulder=m1", "elbow=m9"])
-    told = str(refused.value)
-    assert "--map says m1, which is not read as what is told; --map shoulder_command=COLUMN" in told
-    assert "--map says m9, and the log has no such column" in told
-    assert "m1, and the log has no such column" not in told
+    message = str(refused.value)
+    assert "--map says m1, which is not read as what is told; --map shoulder_command=COLUMN" in message
+    assert "--map says m9, and the log has no such column" in message
+    assert "m1, and the log has no such column" not in message
 
 
 def test_two_columns_that_both_could_be_it_are_both_named(tmp_path, arm):
@@ -123,21 +123,21 @@ def test_what_the_log_does_not_have_can_be_left_out(tmp_path, arm):
     folder = import_log(
         log, arm, tmp_path / "recording", mapping=["elbow=none", "elbow_command=elbow_cmd"]
     ).folder
-    assert [one.name for one in load_model(folder / "model.toml").outputs] == ["shoulder"]
+    assert [output.name for output in load_model(folder / "model.toml").outputs] == ["shoulder"]
 
 
 @pytest.mark.parametrize(
-    ("scale", "offset", "said"),
+    ("scale", "offset", "message"),
     [(180 / np.pi, 0.0, "degrees"), (4096 / (2 * np.pi), 2048.0, "ticks of 4096 a turn")],
 )
-def test_units_are_told_from_the_range_and_said(tmp_path, arm, scale, offset, said):
+def test_units_are_told_from_the_range_and_said(tmp_path, arm, scale, offset, message):
     time_s, goals, angles = logs.motion()
-    rounded = np.round if "ticks" in said else np.asarray
+    rounded = np.round if "ticks" in message else np.asarray
     log = logs.write_csv(
         tmp_path / "log.csv", time_s, rounded(scale * goals + offset), rounded(scale * angles + offset)
     )
     made = import_log(log, arm, tmp_path / "recording")
-    assert f"measured angles are in {said}" in " ".join(made.remarks)
+    assert f"measured angles are in {message}" in " ".join(made.remarks)
     assert columns(read_recording(made.folder), "shoulder").max() == pytest.approx(
         angles[:, 0].max(), abs=1e-3
     )
@@ -199,15 +199,15 @@ def test_a_robot_whose_clock_is_another_is_shifted_to_the_recorders(tmp_path, ar
     assert made.duration_s > 9
 
 
-@pytest.mark.parametrize(("clock_s", "told"), [(-0.02, "lie 22.0 ms before their receipt"), (0.0, "")])
-def test_a_topic_that_is_stamped_early_is_told(tmp_path, arm, clock_s, told):
+@pytest.mark.parametrize(("clock_s", "message"), [(-0.02, "lie 22.0 ms before their receipt"), (0.0, "")])
+def test_a_topic_that_is_stamped_early_is_told(tmp_path, arm, clock_s, message):
     pytest.importorskip("rosbags")
     bag = logs.write_bag(tmp_path / "bag", *logs.motion(), clock_s=clock_s, named_goals=False)
     goals = ["shoulder_command=/goal_command[0]", "elbow_command=/goal_command[1]"]
     made = import_log(bag, arm, tmp_path / "recording", mapping=goals)
-    found = " ".join(one for one in made.remarks if "before their receipt" in one)
-    assert told in found
-    assert bool(told) == bool(found)
+    text = " ".join(remark for remark in made.remarks if "before their receipt" in remark)
+    assert message in text
+    assert bool(message) == bool(text)
 
 
 def test_stamps_are_repaired_by_the_rule_or_refused(tmp_path, arm):
@@ -230,8 +230,8 @@ def test_stamps_of_receipt_that_scatter_become_even_and_stamps_of_measurement_st
     angle = column("", "shoulder_pos", np.sin(true_s))
     wanted = Wanted("shoulder", "rad", "output", ("shoulder",), ("position",))
     stream = Stream("joints", late_s, (angle,), received=received)
-    table, said = table_of([Match(wanted, stream, angle)])
-    assert ("are replaced by even ones" in " ".join(statements(said))) == received
+    table, findings = table_of([Match(wanted, stream, angle)])
+    assert ("are replaced by even ones" in " ".join(statements(findings))) == received
     expected = np.diff(np.linspace(late_s[0], late_s[-1], len(late_s)) if received else late_s)
     assert np.diff(table.time_s) == pytest.approx(expected, abs=1e-9)
 
@@ -284,7 +284,7 @@ def test_the_log_is_cut_at_a_drop_out(tmp_path, arm):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "message"),
     [
         (
             lambda angles: np.where(np.arange(len(angles)) // 100 == 6, angles[600], angles),
@@ -297,7 +297,7 @@ def test_the_log_is_cut_at_a_drop_out(tmp_path, arm):
         ),
     ],
 )
-def test_what_cannot_be_trusted_is_left_out_and_said(tmp_path, arm, spoil, said):
+def test_what_cannot_be_trusted_is_left_out_and_said(tmp_path, arm, spoil, message):
     time_s, goals, angles = logs.motion(moves=3)
     still = np.arange(12, 18, 1 / logs.RATE_HZ)
     rng = np.random.default_rng(5)
@@ -306,7 +306,7 @@ def test_what_cannot_be_trusted_is_left_out_and_said(tmp_path, arm, spoil, said)
     angles = np.vstack([angles, 1e-3 * rng.standard_normal((len(still), 2))])
     angles[:, 0] = spoil(angles[:, 0])
     made = import_log(logs.write_csv(tmp_path / "a.csv", time_s, goals, angles), arm, tmp_path / "one")
-    assert said in " ".join(made.remarks)
+    assert message in " ".join(made.remarks)
     assert made.duration_s < time_s[-1] - 0.2
 
 
@@ -365,7 +365,7 @@ def test_a_urdf_gets_the_drive_that_the_log_tells(tmp_path):
             tmp_path / "a.csv", time_s, goals[:, :1], angles[:, :1], ["t", name, "shoulder_pos"]
         )
         made = import_log(log, urdf, tmp_path / name)
-        assert [one.unit for one in load_model(made.folder / "model.toml").inputs] == [unit]
+        assert [signal.unit for signal in load_model(made.folder / "model.toml").inputs] == [unit]
         assert "the file has no actuator there" in " ".join(made.remarks)
 
 
@@ -374,9 +374,9 @@ def test_goals_that_no_joint_of_a_urdf_takes_are_told_with_what_makes_a_servo_of
     urdf.write_text(URDF)
     time_s, goals, angles = logs.motion()
     log = logs.write_npz(tmp_path / "a.npz", time_s, goals[:, :1], angles[:, :1])
-    told = " ".join(import_log(log, urdf, tmp_path / "still").remarks)
-    assert "ctrl[0] is not used" in told
-    assert "--map shoulder_command=ctrl[0]" in told
+    message = " ".join(import_log(log, urdf, tmp_path / "still").remarks)
+    assert "ctrl[0] is not used" in message
+    assert "--map shoulder_command=ctrl[0]" in message
     made = import_log(log, urdf, tmp_path / "driven", mapping=["shoulder_command=ctrl[0]"])
     assert dict(made.channels)["shoulder_command"] == "ctrl[0]"
     assert "is not used" not in " ".join(made.remarks)
@@ -396,7 +396,7 @@ def test_a_model_of_equations_is_matched_as_well(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "said"),
+    ("name", "text", "message"),
     [
         ("a.csv", "t,x\n", "no sample below"),
         ("a.csv", "", "the file is empty"),
@@ -411,11 +411,11 @@ def test_a_model_of_equations_is_matched_as_well(tmp_path):
         ("a.xyz", "nonsense", "is no log that labrun reads"),
     ],
 )
-def test_a_file_that_is_no_log_is_told(tmp_path, arm, name, text, said):
+def test_a_file_that_is_no_log_is_told(tmp_path, arm, name, text, message):
     (tmp_path / name).write_text(text)
     with pytest.raises((RequestError, RecordingError)) as error:
         import_log(tmp_path / name, arm, tmp_path / "one")
-    assert said in str(error.value)
+    assert message in str(error.value)
 
 
 def test_an_archive_that_was_cut_short_is_told(tmp_path, arm):
@@ -448,9 +448,9 @@ def test_a_column_of_a_joint_that_nothing_drives_is_told_with_what_makes_it_the_
     log = logs.write_csv(
         tmp_path / "a.csv", time_s, goals[:, :1], angles[:, :1], ["t", "shoulder_current", "shoulder_pos"]
     )
-    told = " ".join(import_log(log, urdf, tmp_path / "still").remarks)
-    assert "shoulder_current is not used" in told
-    assert "--map shoulder_torque=shoulder_current" in told
+    message = " ".join(import_log(log, urdf, tmp_path / "still").remarks)
+    assert "shoulder_current is not used" in message
+    assert "--map shoulder_torque=shoulder_current" in message
     with pytest.raises(RequestError, match="amperes are not N m"):
         import_log(log, urdf, tmp_path / "driven", mapping=["shoulder_torque=shoulder_current"])
     made = import_log(

@@ -55,7 +55,7 @@ def test_a_trajectory_is_told_point_by_point_until_the_next_one_comes(tmp_path):
     pytest.importorskip("rosbags")
     (stream,) = read_log(write_trajectories(tmp_path / "bag", [0.0, 0.15, 2.0]), None)
     assert stream.time_s == pytest.approx([0.0, 0.1, 0.15, 0.25, 0.35, 2.0, 2.1, 2.2])
-    shoulder = next(one for one in stream.columns if one.stem == "shoulder")
+    shoulder = next(other for other in stream.columns if other.stem == "shoulder")
     assert shoulder.role == "command"
     assert shoulder.values == pytest.approx([0, 0.1, 1.0, 1.1, 1.2, 2.0, 2.1, 2.2])
 
@@ -97,7 +97,7 @@ def test_a_unit_that_takes_a_joint_far_out_of_its_range_is_refused_and_a_wrong_z
     assert not (tmp_path / "one").exists()
     log = logs.write_csv(tmp_path / "zero.csv", time_s, goals, angles + 2.0)
     made = import_log(log, arm, tmp_path / "two")
-    assert any("shoulder is measured" in one and "the zero" in one for one in made.remarks)
+    assert any("shoulder is measured" in remark and "the zero" in remark for remark in made.remarks)
 
 
 def test_a_joint_that_friction_holds_still_is_not_frozen(tmp_path, arm):
@@ -148,16 +148,16 @@ def test_one_column_is_not_two_channels(tmp_path, arm):
     assert not (tmp_path / "recording").exists()
 
 
-@pytest.mark.parametrize(("told", "measured"), [("cmd_", "enc_"), ("goal_j", "state_j")])
-def test_numbered_columns_are_proposed_by_their_number(tmp_path, arm, told, measured):
-    names = ["time_s", f"{told}1", f"{told}2", f"{measured}1", f"{measured}2"]
+@pytest.mark.parametrize(("message", "measured"), [("cmd_", "enc_"), ("goal_j", "state_j")])
+def test_numbered_columns_are_proposed_by_their_number(tmp_path, arm, message, measured):
+    names = ["time_s", f"{message}1", f"{message}2", f"{measured}1", f"{measured}2"]
     log = logs.write_csv(tmp_path / "log.csv", *logs.motion(), names=names)
     with pytest.raises(RequestError) as asked:
         import_log(log, arm, tmp_path / "recording")
     proposals = [line.partition("proposal: --map ")[2] for line in str(asked.value).splitlines()]
     proposals = [proposal for proposal in proposals if proposal]
     assert proposals == [
-        f"shoulder_command={told}1", f"elbow_command={told}2", f"shoulder={measured}1", f"elbow={measured}2",
+        f"shoulder_command={message}1", f"elbow_command={message}2", f"shoulder={measured}1", f"elbow={measured}2",
     ]  # fmt: skip
     assert import_log(log, arm, tmp_path / "recording", mapping=proposals).trials == 3
 
@@ -167,9 +167,9 @@ def test_stamps_of_an_hdf5_group_are_those_of_the_nearest_group_around_it(tmp_pa
     time_s, goals, angles = logs.motion()
     with h5py.File(tmp_path / "log.h5", "w") as file:
         file["robot/timestamp"] = time_s
-        for place, joint in enumerate(logs.JOINTS):
-            file[f"robot/command/{joint}"] = goals[:, place]
-            file[f"state/{joint}"] = angles[:, place]  # beside the stamps, and as many
+        for index, joint in enumerate(logs.JOINTS):
+            file[f"robot/command/{joint}"] = goals[:, index]
+            file[f"state/{joint}"] = angles[:, index]  # beside the stamps, and as many
     made = import_log(tmp_path / "log.h5", arm, tmp_path / "recording")
     assert dict(made.channels)["elbow_command"] == "robot/command/elbow"
     assert dict(made.channels)["elbow"] == "state/elbow"
@@ -184,7 +184,9 @@ def test_of_two_topics_of_positions_the_one_that_tells_more_is_proposed_as_measu
     ]
     leader = Stream("/leader", still, (column("/leader/position", "elbow", still),))
     parts = ("position", "velocity", "effort")
-    follower = Stream("/follower", still, tuple(column(f"/follower/{one}", "elbow", still) for one in parts))
+    follower = Stream(
+        "/follower", still, tuple(column(f"/follower/{part}", "elbow", still) for part in parts)
+    )
     asked = [question.proposal for question in questions(matched(wanted, [leader, follower], {})[1])]
     assert asked == ["--map elbow_command=/leader/position/elbow", "--map elbow=/follower/position/elbow"]
 
@@ -192,7 +194,7 @@ def test_of_two_topics_of_positions_the_one_that_tells_more_is_proposed_as_measu
 def test_a_column_that_is_another_joints_is_not_proposed():
     still = np.zeros(50)
     names = ("elbow_yaw", "elbow_roll")
-    wanted = [Wanted(one, "rad", "output", (one,), ("position",)) for one in names]
+    wanted = [Wanted(name, "rad", "output", (name,), ("position",)) for name in names]
     log = Stream("log", still, (column("", "elbow_roll_pos", still), column("", "elbow_jaw_pos", still)))
     (question,) = questions(matched(wanted, [log], {})[1])
     assert question.proposal == "--map elbow_yaw=elbow_jaw_pos"
@@ -239,7 +241,7 @@ def test_one_trial_and_one_gap_are_one(tmp_path, arm):
     time_s, goals, angles = logs.motion()
     late = np.where(time_s > 6.2, time_s + 1.0, time_s)
     log = logs.write_csv(tmp_path / "log.csv", late, goals, angles)
-    assert any("1 gap of more than" in one for one in import_log(log, arm, tmp_path / "a").remarks)
+    assert any("1 gap of more than" in remark for remark in import_log(log, arm, tmp_path / "a").remarks)
     log = logs.write_csv(tmp_path / "short.csv", time_s[:400], goals[:400], angles[:400])
     assert import_log(log, arm, tmp_path / "b").to_text().startswith("1 trial, ")
 

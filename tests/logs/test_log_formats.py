@@ -235,9 +235,9 @@ def test_the_length_that_a_lerobot_data_set_states_is_compared(tmp_path):
     folder = logs.write_lerobot(tmp_path / "set", goals, angles)
     file = folder / "meta" / "info.json"
     file.write_text(json.dumps({**json.loads(file.read_text()), "total_episodes": 5, "total_frames": 2000}))
-    said = [text for stream in read_log(folder) for text in statements(stream.findings)]
-    assert "set: meta/info.json states total_episodes 5, and 3 were found" in said
-    assert "set: meta/info.json states total_frames 2000, and 1200 were found" in said
+    messages = [text for stream in read_log(folder) for text in statements(stream.findings)]
+    assert "set: meta/info.json states total_episodes 5, and 3 were found" in messages
+    assert "set: meta/info.json states total_frames 2000, and 1200 were found" in messages
 
 
 def test_parquet_with_dates_and_single_array(tmp_path):

@@ -60,8 +60,8 @@ def motion_rows(scale=1.0, rate=1.0, offset_s=0.0, delay_s=0.002):
         (t / rate + delay_s, t + offset_s, JOINTS, scale * angle)
         for t, angle in zip(time_s, angles, strict=True)
     ]
-    told = [(t / rate, JOINTS, scale * goal) for t, goal in zip(time_s, goals, strict=True)]
-    return states, told
+    message = [(t / rate, JOINTS, scale * goal) for t, goal in zip(time_s, goals, strict=True)]
+    return states, message
 
 
 @pytest.mark.parametrize("first", [(), ("shoulder",)])
@@ -90,9 +90,9 @@ def test_values_are_matched_by_name_in_every_message(tmp_path):
 def test_joints_that_are_polled_in_turn_keep_their_own_stamps(tmp_path, arm):
     states, goals = motion_rows()
     polled = [
-        (receipt + 0.005 * place, stamp + 0.005 * place, (name,), [positions[place]])
+        (receipt + 0.005 * index, stamp + 0.005 * index, (name,), [positions[index]])
         for receipt, stamp, names, positions in states
-        for place, name in enumerate(names)
+        for index, name in enumerate(names)
     ]
     bag = write_states(tmp_path / "bag", polled, goals=goals)
     streams = {stream.columns[0].stem: stream for stream in read_log(bag) if stream.name == "/joint_states"}
@@ -126,8 +126,8 @@ def test_a_second_writer_that_sends_zeros_is_asked_about_and_left_out(tmp_path, 
     result = import_log(bag, arm, tmp_path / "recording", answers=LogAnswers(publishers=[flag]))
     reference = import_log(write_states(tmp_path / "one", states, goals=goals), arm, tmp_path / "reference")
     values = [
-        np.concatenate([trial.outputs for trial in read_recording(one.folder).trials])
-        for one in (result, reference)
+        np.concatenate([trial.outputs for trial in read_recording(log.folder).trials])
+        for log in (result, reference)
     ]
     # where a joint stands within its noise of zero, nothing tells whose a message is
     assert abs(len(values[0]) - len(values[1])) < 0.1 * len(values[1])
@@ -155,8 +155,8 @@ def test_topics_of_clocks_that_run_at_other_rates_are_put_on_one(tmp_path, arm, 
     states, goals = motion_rows(rate=rate)
     bag = write_states(tmp_path / "bag", states, goals=goals)
     result = import_log(bag, arm, tmp_path / "recording")
-    said = next(text for text in result.remarks if "its clock runs at" in text)
-    assert float(said.split()[5]) == pytest.approx(rate, rel=1e-4)
+    message = next(text for text in result.remarks if "its clock runs at" in text)
+    assert float(message.split()[5]) == pytest.approx(rate, rel=1e-4)
     last = read_recording(result.folder).trials[-1]
     lead = [np.sum((np.roll(last.inputs[:, 0], shift) - last.outputs[:, 0]) ** 2) for shift in range(-20, 21)]
     straight = [

@@ -78,7 +78,7 @@ def test_seconds_and_nanoseconds_in_two_columns_are_one_time(tmp_path, names):
     columns = {names[0]: nanoseconds // 10**9, names[1]: nanoseconds % 10**9, "a": np.arange(50.0)}
     stream = read(write(tmp_path / "log.csv", columns))
     assert np.diff(stream.time_s) == pytest.approx(0.02, abs=1e-6)
-    assert [one.name for one in stream.columns] == ["a"]
+    assert [column.name for column in stream.columns] == ["a"]
 
 
 @pytest.mark.parametrize("zone", [None, UTC, timezone(timedelta(hours=2))])
@@ -87,8 +87,8 @@ def test_dates_with_and_without_zone_are_time(tmp_path, zone):
     cells = [(start + timedelta(milliseconds=20 * row)).isoformat() for row in range(80)]
     stream = read(write(tmp_path / "log.csv", {"timestamp": cells, "a": np.arange(80.0)}))
     assert np.diff(stream.time_s) == pytest.approx(0.02, abs=1e-5)
-    said = " ".join(statements(stream.findings))
-    assert ("with their zone" in said) == (zone is not None)
+    message = " ".join(statements(stream.findings))
+    assert ("with their zone" in message) == (zone is not None)
 
 
 def test_dates_of_which_some_have_a_zone_are_asked_about(tmp_path):
@@ -101,10 +101,10 @@ def test_two_clocks_of_one_table_are_compared(tmp_path, rate, asked):
     time_s = 0.01 * np.arange(500)
     columns = {"time": time_s, "timestamp": 3.0 + rate * time_s, "a": np.arange(500.0)}
     stream = read(write(tmp_path / "log.csv", columns))
-    found = [question.text for question in questions(stream.findings)]
-    assert bool(found) == asked
+    texts = [question.text for question in questions(stream.findings)]
+    assert bool(texts) == asked
     if asked:
-        assert f"runs at {rate:.5g} of it" in found[0]
+        assert f"runs at {rate:.5g} of it" in texts[0]
         assert not questions(read(tmp_path / "log.csv", times={"": "timestamp"}).findings)
 
 

@@ -80,13 +80,13 @@ def test_a_preview_counts_what_an_import_would_leave_out(tmp_path):
     )
     assert shoulder.rate_hz == pytest.approx(100)
     assert shoulder.highest == pytest.approx(0.8, abs=0.01)
-    said = " ".join(preview.remarks)
+    message = " ".join(preview.remarks)
     for part in (
         "1 sample without a number is left out",
         "1 gap of more than",
         "jumps by 6.28319 between two samples once",
     ):
-        assert part in said
+        assert part in message
     result = import_log(log, arm, tmp_path / "recording", answers=LogAnswers())
     assert result.remarks == preview.remarks
     assert result.trials == preview.trials

@@ -42,11 +42,11 @@ def test_a_counter_that_wraps_is_unwrapped_wherever_it_does(unit, rows, seed):
     wrapped = smooth.copy()
     for row in rows:
         wrapped[row:] += rng.choice([-1, 1]) * turn
-    ((values,), said) = corrected(joint(wrapped, unit))
+    ((values,), message) = corrected(joint(wrapped, unit))
     offset = np.round((values - smooth) / turn) * turn
     assert np.ptp(offset) == 0
     assert values - offset == pytest.approx(smooth)
-    assert f"{len(rows)} times" in said[0] or "once" in said[0]
+    assert f"{len(rows)} times" in message[0] or "once" in message[0]
 
 
 def test_a_single_sample_a_turn_off_is_left_out_and_told():
@@ -54,9 +54,9 @@ def test_a_single_sample_a_turn_off_is_left_out_and_told():
     glitched = smooth.copy()
     glitched[100] += 2 * np.pi
     glitched[200:202] -= 2 * np.pi
-    ((values,), said) = corrected(joint(glitched))
+    ((values,), message) = corrected(joint(glitched))
     assert np.flatnonzero(np.isnan(values)).tolist() == [100, 200, 201]
-    assert said == ["elbow: 3 single samples lie whole turns off, the first at 1.000 s; left out"]
+    assert message == ["elbow: 3 single samples lie whole turns off, the first at 1.000 s; left out"]
 
 
 def test_a_counter_of_16_bits_wraps_at_its_own_length():
@@ -68,18 +68,18 @@ def test_a_counter_of_16_bits_wraps_at_its_own_length():
 def test_a_servo_that_lost_a_turn_at_a_reboot_is_told_with_the_gap():
     time_s = np.append(0.01 * np.arange(200), 10 + 0.01 * np.arange(200))
     still = 0.4 + 1e-3 * np.sin(30 * time_s)
-    ((values,), said) = corrected(joint(still + np.where(time_s > 5, 2 * np.pi, 0.0), time_s=time_s))
+    ((values,), message) = corrected(joint(still + np.where(time_s > 5, 2 * np.pi, 0.0), time_s=time_s))
     assert values == pytest.approx(still)
-    assert "after a gap, as of a servo that was switched off" in said[0]
+    assert "after a gap, as of a servo that was switched off" in message[0]
 
 
 def test_a_turn_lost_at_a_reboot_is_seen_beside_the_goal_where_the_joint_moved_meanwhile():
     time_s = np.append(0.01 * np.arange(200), 10 + 0.01 * np.arange(200))
     goal = np.sin(time_s)
     lost = goal + np.where(time_s > 5, 2 * np.pi, 0.0)
-    ((_, values), said) = corrected(joint(goal, kind="input", time_s=time_s), joint(lost, time_s=time_s))
+    ((_, values), message) = corrected(joint(goal, kind="input", time_s=time_s), joint(lost, time_s=time_s))
     assert values == pytest.approx(goal)
-    assert "+1 whole turns from its goal in 1 part of the log" in said[0]
+    assert "+1 whole turns from its goal in 1 part of the log" in message[0]
 
 
 def test_an_episode_that_begins_a_turn_off_its_goal_is_taken_back():
@@ -87,21 +87,21 @@ def test_an_episode_that_begins_a_turn_off_its_goal_is_taken_back():
     episode = np.repeat([0, 1], 200)
     goal = np.sin(phase)
     measured = goal + np.where(episode == 1, 360.0, 0.0)
-    ((told, values), said) = corrected(
+    ((message, values), text) = corrected(
         joint(goal, "deg", "input", episode=episode), joint(measured, "deg", episode=episode)
     )
     assert values == pytest.approx(goal)
-    assert told == pytest.approx(goal)
-    assert "+1 whole turns from its goal" in said[0]
+    assert message == pytest.approx(goal)
+    assert "+1 whole turns from its goal" in text[0]
 
 
 def test_a_goal_of_a_whole_turn_that_the_joint_follows_stays():
     goal = np.where(np.arange(600) < 200, 0.0, 2 * np.pi)
     measured = 2 * np.pi * np.clip((np.arange(600) - 200) / 150, 0, 1)
-    ((told, values), said) = corrected(joint(goal, kind="input"), joint(measured))
-    assert told == pytest.approx(goal)
+    ((message, values), text) = corrected(joint(goal, kind="input"), joint(measured))
+    assert message == pytest.approx(goal)
     assert values == pytest.approx(measured)
-    assert not said
+    assert not text
 
 
 @settings(max_examples=30)
@@ -111,9 +111,9 @@ def test_motion_is_no_jump(seed, speed):
     rng = np.random.default_rng(seed)
     time_s = 0.01 * np.arange(400)
     angle = speed * time_s + 0.05 * np.cumsum(rng.standard_normal(400))
-    ((values,), said) = corrected(joint(angle))
+    ((values,), message) = corrected(joint(angle))
     assert np.array_equal(values, angle)
-    assert not said
+    assert not message
 
 
 def test_ticks_with_a_stated_zero_are_counted_from_it(tmp_path):

@@ -48,16 +48,16 @@ def swings(starts, dry_n_m=0.0, repeats=1):
 
 
 def test_a_fit_finds_the_damping_of_a_linkage():
-    found = fit_model(four_bar(), swings((0.3, 0.7)), rng=np.random.default_rng(0), starts=1)
-    assert found.parameters["friction"].value == pytest.approx(DAMPING, rel=0.03)
-    assert found.rmse["left"] == pytest.approx(NOISE_RAD, rel=0.1)
+    model = fit_model(four_bar(), swings((0.3, 0.7)), rng=np.random.default_rng(0), starts=1)
+    assert model.parameters["friction"].value == pytest.approx(DAMPING, rel=0.03)
+    assert model.rmse["left"] == pytest.approx(NOISE_RAD, rel=0.1)
 
 
 @pytest.mark.slow
 def test_dry_friction_in_a_linkage_is_named_at_one_of_its_hinges_which_all_turn_alike():
     data = swings((0.3, 0.6, 0.9), dry_n_m=0.01, repeats=2)
-    found = diagnose_dataset(data, four_bar(), Options(places=False))
-    (cause,) = found.causes
-    assert found.verdict == "explained"
+    dataset = diagnose_dataset(data, four_bar(), Options(places=False))
+    (cause,) = dataset.causes
+    assert dataset.verdict == "explained"
     assert cause.name.effect == "coulomb-friction"
     assert cause.values["torque"].value == pytest.approx(0.01, rel=0.1)

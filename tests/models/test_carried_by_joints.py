@@ -30,36 +30,36 @@ def motion(joints: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def test_a_pendulum_carries_its_inertia_and_its_weight():
     q, rate, acceleration = motion(1)
-    found = carried(PENDULUM, ["hinge"], (q, rate, acceleration))
-    assert found.inertia[:, 0, 0] == pytest.approx(np.full(81, MASS * LINK_M**2 + 1e-3), rel=1e-9)
+    result = carried(PENDULUM, ["hinge"], (q, rate, acceleration))
+    assert result.inertia[:, 0, 0] == pytest.approx(np.full(81, MASS * LINK_M**2 + 1e-3), rel=1e-9)
     weight = MASS * 9.81 * LINK_M
-    assert found.torque[:, 0, 0] == pytest.approx(weight * np.sin(q[:, 0]), abs=1e-9)
-    assert found.slope[:, 0] == pytest.approx(weight * np.cos(q[:, 0]), abs=1e-5)
-    assert found.rate_slope == pytest.approx(np.zeros_like(q), abs=1e-9)
+    assert result.torque[:, 0, 0] == pytest.approx(weight * np.sin(q[:, 0]), abs=1e-9)
+    assert result.slope[:, 0] == pytest.approx(weight * np.cos(q[:, 0]), abs=1e-5)
+    assert result.rate_slope == pytest.approx(np.zeros_like(q), abs=1e-9)
 
 
 def test_pitch_of_the_base_turns_a_pendulum_and_roll_does_not():
     q, rate, acceleration = motion(1)
-    found = carried(PENDULUM, ["hinge"], (q, rate, acceleration))
-    assert found.tilt[:, 0, 0] == pytest.approx(np.zeros(81), abs=1e-12)
+    result = carried(PENDULUM, ["hinge"], (q, rate, acceleration))
+    assert result.tilt[:, 0, 0] == pytest.approx(np.zeros(81), abs=1e-12)
     # a base pitched by a small angle is a pendulum whose angle is so much larger
-    assert found.tilt[:, 0, 1] == pytest.approx(MASS * 9.81 * LINK_M * np.cos(q[:, 0]), rel=1e-6)
+    assert result.tilt[:, 0, 1] == pytest.approx(MASS * 9.81 * LINK_M * np.cos(q[:, 0]), rel=1e-6)
 
 
 def test_a_kilogram_at_the_tip_is_a_point_mass_there():
     q, rate, acceleration = motion(1)
-    found = carried(PENDULUM, ["hinge"], (q, rate, acceleration))
+    result = carried(PENDULUM, ["hinge"], (q, rate, acceleration))
     reach = 2 * LINK_M
     expected = reach**2 * acceleration[:, 0] + 9.81 * reach * np.sin(q[:, 0])
-    assert found.load[:, 0] == pytest.approx(expected, abs=1e-6)
+    assert result.load[:, 0] == pytest.approx(expected, abs=1e-6)
 
 
 def test_bodies_add_up_to_the_inverse_dynamics_of_the_robot():
     import mujoco
 
     q, rate, acceleration = motion(2)
-    found = carried(TWO, ["shoulder", "elbow"], (q, rate, acceleration))
-    total = (found.torque + found.inertia * acceleration[:, :, None]).sum(axis=2)
+    result = carried(TWO, ["shoulder", "elbow"], (q, rate, acceleration))
+    total = (result.torque + result.inertia * acceleration[:, :, None]).sum(axis=2)
     model = mujoco.MjModel.from_xml_string(TWO)
     data = mujoco.MjData(model)
     expected = np.empty_like(q)
@@ -68,19 +68,19 @@ def test_bodies_add_up_to_the_inverse_dynamics_of_the_robot():
         mujoco.mj_inverse(model, data)
         expected[row] = data.qfrc_inverse
     assert total == pytest.approx(expected, abs=1e-9)
-    assert found.bodies == ("upper", "lower")
+    assert result.bodies == ("upper", "lower")
 
 
 def test_slopes_are_those_of_the_torque():
     q, rate, acceleration = motion(2)
-    found = carried(TWO, ["shoulder", "elbow"], (q, rate, acceleration))
+    result = carried(TWO, ["shoulder", "elbow"], (q, rate, acceleration))
     step = 1e-3
     for joint in range(2):
         moved = q.copy()
         moved[:, joint] += step
         there = carried(TWO, ["shoulder", "elbow"], (moved, rate, acceleration))
-        change = (there.torque - found.torque)[:, joint].sum(axis=1) / step
-        assert change == pytest.approx(found.slope[:, joint], rel=2e-3, abs=2e-2)
+        change = (there.torque - result.torque)[:, joint].sum(axis=1) / step
+        assert change == pytest.approx(result.slope[:, joint], rel=2e-3, abs=2e-2)
 
 
 def test_a_joint_has_what_the_file_says():

@@ -40,25 +40,25 @@ def from_outside(model, angles):
 
 
 def test_a_parallelogram_swings_as_one_pendulum(parallelogram):
-    found = simulate(parallelogram, TIME_S, NOTHING, substeps=4)
+    result = simulate(parallelogram, TIME_S, NOTHING, substeps=4)
     pull = 9.81 * 0.2 * (0.5 + 2 * 0.1 / 2)
     inertia = 2 * (3e-4 + 0.1 * 0.1**2) + 0.5 * 0.2**2
     period = 4 * ellipk(np.sin(0.3) ** 2) / np.sqrt(pull / inertia)
-    left = found.outputs[:, 0]
+    left = result.outputs[:, 0]
     falls = np.flatnonzero((left[:-1] > 0) & (left[1:] <= 0))
     crossings = TIME_S[falls] - left[falls] * np.diff(TIME_S)[falls] / np.diff(left)[falls]
     assert np.diff(crossings).mean() == pytest.approx(period, rel=1e-4)
     count = len(parallelogram.tree.joints)
-    angles = dict(zip(parallelogram.tree.joints, found.states[:, :count].T, strict=True))
+    angles = dict(zip(parallelogram.tree.joints, result.states[:, :count].T, strict=True))
     np.testing.assert_allclose(angles["right"], angles["left"], atol=1e-7)
     np.testing.assert_allclose(angles["pin"], -angles["left"], atol=1e-7)
 
 
 def test_energy_stays_and_the_loop_stays_closed(parallelogram):
-    found = simulate(parallelogram, TIME_S, NOTHING, substeps=4).outputs
+    outputs = simulate(parallelogram, TIME_S, NOTHING, substeps=4).outputs
     moved = 9.81 * 0.2 * 0.6 * (1 - np.cos(0.6))
-    assert np.ptp(found[:, 2]) < 1e-6 * moved
-    assert found[:, 1].max() < 1e-7
+    assert np.ptp(outputs[:, 2]) < 1e-6 * moved
+    assert outputs[:, 1].max() < 1e-7
 
 
 @pytest.mark.slow
@@ -68,7 +68,7 @@ def test_finer_steps_keep_the_energy_of_the_six_bar_better(six_bar):
     drift = []
     for substeps in (2, 4):
         start = model.initial_state({})
-        found = simulate(
+        result = simulate(
             model,
             time_s,
             np.empty((361, 0)),
@@ -76,7 +76,7 @@ def test_finer_steps_keep_the_energy_of_the_six_bar_better(six_bar):
             initial_state=start,
             substeps=substeps,
         )
-        energies = [energy(six_bar, state) for state in found.states[::10]]
+        energies = [energy(six_bar, state) for state in result.states[::10]]
         drift.append(np.ptp(energies))
     assert drift[1] < 1e-8
     assert drift[1] < drift[0] / 8
@@ -128,11 +128,11 @@ def six_bar_mjcf(model):
         row = values[FIRST_JOINT + PER_JOINT * index :][:PER_JOINT]
         share = 0.5 if index in (tree.first, tree.second) else 1.0
         text = " ".join
-        inertia = text(f"{share * one:.17g}" for one in row[20:26])
+        inertia = text(f"{share * value:.17g}" for value in row[20:26])
         made[index] = (
-            f'<body name="b{index}"><joint name="{joint}" axis="{text(f"{one:.17g}" for one in row[:3])}" '
+            f'<body name="b{index}"><joint name="{joint}" axis="{text(f"{value:.17g}" for value in row[:3])}" '
             f'stiffness="{row[12]:.17g}" damping="{row[13]:.17g}"/><inertial mass="{share * row[16]:.17g}" '
-            f'pos="{text(f"{one:.17g}" for one in row[17:20])}" fullinertia="{inertia}"/>'
+            f'pos="{text(f"{value:.17g}" for value in row[17:20])}" fullinertia="{inertia}"/>'
         )
 
     def nested(parent):
@@ -145,7 +145,7 @@ def six_bar_mjcf(model):
         'solimp="0.9999 0.9999 0.001"/>'
         for point in points
     )
-    gravity = " ".join(f"{one:.17g}" for one in values[:3])
+    gravity = " ".join(f"{value:.17g}" for value in values[:3])
     return (
         f'<mujoco><option gravity="{gravity}" timestep="1e-4" tolerance="1e-14" iterations="200">'
         '<flag refsafe="disable"/></option>'
@@ -252,7 +252,7 @@ def test_a_chain_can_be_pickled(parallelogram):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("fixed = true", "mass_kg = 1", "one body does not move, and says fixed = true; here it is none"),
         ('to = "coupler"\naxis = [0, 1, 0]\nat_m = [0, 0, "-crank"]', 'to = "couplr"\naxis = [0, 1, 0]', "coupler"),
@@ -271,14 +271,14 @@ def test_a_chain_can_be_pickled(parallelogram):
         ("[1e-5, 4e-3, 4e-3]", '["1e-5/(crank - 0.2)", 4e-3, 4e-3]', "bodies.coupler.inertia_kg_m2"),
     ],
 )  # fmt: skip
-def test_what_does_not_hold_is_told(old, new, said):
+def test_what_does_not_hold_is_told(old, new, message):
     assert old in PARALLELOGRAM
-    with pytest.raises(ModelError, match=said.replace("[", r"\[").replace("(", r"\(")):
+    with pytest.raises(ModelError, match=message.replace("[", r"\[").replace("(", r"\(")):
         parse_model(PARALLELOGRAM.replace(old, new), "chain.toml")
 
 
 def test_an_axis_that_a_condition_leaves_without_direction_is_told():
-    given, tilted = (f'axis = [0, {one}, 0]\nat_m = [0, 0, "-crank"]' for one in ("1", '"tilt"'))
+    given, tilted = (f'axis = [0, {name}, 0]\nat_m = [0, 0, "-crank"]' for name in ("1", '"tilt"'))
     assert given in PARALLELOGRAM
     model = parse_model(PARALLELOGRAM.replace(given, tilted), "chain.toml")
     assert np.isfinite(model.initial_state({"tilt": 1.0})).all()
@@ -290,10 +290,10 @@ def test_a_joint_without_inertia_ends_the_simulation_and_not_the_process():
     text = PENDULUMS.replace("inertia_kg_m2 = [1e-3, 1e-3, 5e-4]", "").replace(
         "center_m = [0, 0.01, -0.35]", "center_m = [0, 0, -0.25]"
     )
-    found = simulate(
+    result = simulate(
         parse_model(text, "p.toml"), TIME_S, np.zeros((301, 1)), initial_state=[0.1, 0, 0, 0], substeps=1
     )
-    assert not found.finite
+    assert not result.finite
 
 
 def test_a_state_to_begin_in_belongs_to_whoever_asked_for_it(parallelogram):

@@ -52,7 +52,7 @@ def test_a_second_process_compiles_nothing_and_a_cache_that_was_tampered_with_is
     assert again[0] == [1, 1, 1, 1, 1]
     assert first[1] == again[1]
     modules = list((cache / "models").glob("*.py"))
-    assert sum("def derivative(t, x, u, p, force, out):" in one.read_text() for one in modules) == 1
+    assert sum("def derivative(t, x, u, p, force, out):" in module.read_text() for module in modules) == 1
     for module in modules:
         module.write_text("raise SystemExit('not ours')")
     assert json.loads(_run(_PROGRAM, str(path), cache=cache))[1] == first[1]

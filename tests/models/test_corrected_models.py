@@ -51,12 +51,12 @@ def test_values_are_replaced_in_place_and_effects_appended():
     assert expected in written
     before, after = written.split(expected)
     assert [line for line in before.splitlines() if line and not line.startswith("#")] == []
-    for told in (
+    for message in (
         "arm.toml",
         "# fitted to seven trials\n# of a day\n",
         "damping: 0.8 N m s/rad became 1.7 N m s/rad",
     ):
-        assert told in before
+        assert message in before
     assert "stiffness" not in before
     assert tomllib.loads(after)["effects"] == [
         {"effect": "coulomb-friction", "site": "hinge", "kind": "joint",
@@ -74,7 +74,7 @@ def test_a_corrected_file_simulates_as_the_model_with_values_and_effects(tmp_pat
     better = load_model(tmp_path / "better.toml")
     given = {"parameters": values, "effects": [FRICTION, LAG]}
     np.testing.assert_array_equal(outputs(better), outputs(parse_model(OSCILLATOR, "o"), **given))
-    assert [one.tolerance for one in better.parameters] == [0.1, "free", "free"]
+    assert [parameter.tolerance for parameter in better.parameters] == [0.1, "free", "free"]
 
 
 LAYOUTS = {
@@ -93,7 +93,7 @@ def test_a_parameter_may_be_written_in_any_way(layout):
     if name == "slack":
         text = text.replace("damping*rate", "(damping + slack)*rate")
     written = corrected_model_text(parse_model(text, "arm.toml"), text, {name: 1.7})
-    value = {one.name: one.value for one in parse_model(written, "arm.toml").parameters}
+    value = {parameter.name: parameter.value for parameter in parse_model(written, "arm.toml").parameters}
     assert value[name] == 1.7
     assert text.strip().replace("0.8\n", "1.7\n").count("\n") == written.split("\n\n", 1)[1].strip().count(
         "\n"
@@ -104,7 +104,7 @@ def test_a_second_correction_adds_to_the_first():
     once = corrected_model_text(parse_model(OSCILLATOR, "a"), OSCILLATOR, {"damping": 1.7}, [FRICTION])
     twice = corrected_model_text(parse_model(once, "b"), once, {"damping": 1.9}, [LAG])
     model = parse_model(twice, "c")
-    assert [one.effect.id for one in model.effects] == ["coulomb-friction", "lag"]
+    assert [effect.effect.id for effect in model.effects] == ["coulomb-friction", "lag"]
     given = {"parameters": {"damping": 1.9}, "effects": [FRICTION, LAG]}
     np.testing.assert_array_equal(outputs(model), outputs(parse_model(OSCILLATOR, "o"), **given))
 
@@ -164,7 +164,7 @@ def test_a_model_that_ships_with_labrun_is_written_whole():
     written = corrected_model_text(model, "hinge-pendulum", {"stiffness": 0.02})
     better = parse_model(written, "better.toml")
     assert "the hinge" in written
-    assert {one.name: one.value for one in better.parameters}["stiffness"] == 0.02
+    assert {parameter.name: parameter.value for parameter in better.parameters}["stiffness"] == 0.02
 
 
 def test_what_cannot_be_written_is_refused():

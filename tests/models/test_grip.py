@@ -31,10 +31,10 @@ def robot(tmp_path, more=""):
 def test_a_gripper_stands_where_it_is_held_and_the_arm_is_free(tmp_path):
     whole = robot(tmp_path)
     held = with_grip_held(whole, {"left": 0.3, "right": 0.03})
-    assert [one.name for one in held.joints] == ["shoulder"]
-    assert [one.name for one in held.actuators] == ["shoulder"]
+    assert [joint.name for joint in held.joints] == ["shoulder"]
+    assert [actuator.name for actuator in held.actuators] == ["shoulder"]
     assert robot_terms(held.xml, ["shoulder"]).coupled == ""
-    before, after = (mujoco.MjModel.from_xml_string(one.xml) for one in (whole, held))
+    before, after = (mujoco.MjModel.from_xml_string(exported.xml) for exported in (whole, held))
     data, other = mujoco.MjData(before), mujoco.MjData(after)
     data.qpos[:], other.qpos[:] = (0.7, 0.3, 0.03), 0.7
     mujoco.mj_kinematics(before, data)

@@ -13,7 +13,11 @@ def course(name, drive, duration_s, begin, **values):
     time_s = np.linspace(0.0, duration_s, 2001)
     inputs = np.full((len(time_s), 1), drive)
     made = simulate(model, time_s, inputs, parameters=values, initial_state=begin)
-    return made.states[:, 0], made.states[:, 1], {one.name: one.value for one in model.parameters} | values
+    return (
+        made.states[:, 0],
+        made.states[:, 1],
+        {parameter.name: parameter.value for parameter in model.parameters} | values,
+    )
 
 
 def test_a_motor_runs_up_to_the_speed_at_which_its_back_emf_and_damping_take_the_voltage():
@@ -26,7 +30,7 @@ def test_a_motor_runs_up_to_the_speed_at_which_its_back_emf_and_damping_take_the
 
 
 def test_a_motor_that_is_held_by_its_load_puts_out_the_torque_of_its_stalled_current():
-    p = {one.name: one.value for one in load_model("dc-motor").parameters}
+    p = {parameter.name: parameter.value for parameter in load_model("dc-motor").parameters}
     volts = 1.0
     held = np.arcsin(p["gear"] * p["torque_constant"] * volts / p["resistance"] / (9.81 * p["moment"] * 4.0))
     angle, rate, _ = course("dc-motor", volts, 0.5, (held, 0.0), moment=4.0 * p["moment"])
@@ -35,7 +39,7 @@ def test_a_motor_that_is_held_by_its_load_puts_out_the_torque_of_its_stalled_cur
 
 
 def test_a_servo_swings_about_the_goal_that_the_weight_leaves_it():
-    p = {one.name: one.value for one in load_model("position-servo").parameters}
+    p = {parameter.name: parameter.value for parameter in load_model("position-servo").parameters}
     goal = 0.4
     angle, rate, _ = course("position-servo", goal, 4.0, (goal, 0.0))
     torque = p["gain"] * (goal - angle[-1])

@@ -50,8 +50,8 @@ def _trees() -> st.SearchStrategy[tuple]:
             name, arguments = parts
             count = {"atan2": 2, "min": 3, "max": 2, "clip": 3}.get(name, 1)
             chosen = arguments[:count]
-            text = f"{name}({', '.join(one[0] for one in chosen)})"
-            return text, lambda env: REFERENCE[name](*(one[1](env) for one in chosen))
+            text = f"{name}({', '.join(argument[0] for argument in chosen)})"
+            return text, lambda env: REFERENCE[name](*(argument[1](env) for argument in chosen))
 
         def where(parts):
             (left, f), comparison, (right, g), (yes, h), (no, k) = parts
@@ -63,7 +63,7 @@ def _trees() -> st.SearchStrategy[tuple]:
             st.tuples(st.sampled_from(["+", "-", "*", "/", "^", "**", "%"]), inner, inner).map(binary),
             st.tuples(st.sampled_from(sorted(REFERENCE)), st.tuples(inner, inner, inner)).map(call),
             st.tuples(inner, st.sampled_from(["<", ">=", "!="]), inner, inner, inner).map(where),
-            inner.map(lambda one: (f"-({one[0]})", lambda env: -one[1](env))),
+            inner.map(lambda term: (f"-({term[0]})", lambda env: -term[1](env))),
         )
 
     return st.recursive(st.one_of(numbers, names), grow, max_leaves=8)
@@ -82,11 +82,11 @@ def test_a_compiled_equation_gives_what_numpy_gives(trees, values):
     out = _call(model.output.address, values, len(trees))
     with np.errstate(all="ignore"):
         expected = [float(function(dict(zip(NAMES, values, strict=True)))) for _, function in trees]
-    for (source, _), found, wanted in zip(trees, out, expected, strict=True):
+    for (source, _), result, wanted in zip(trees, out, expected, strict=True):
         if math.isfinite(wanted) and abs(wanted) < 1e12:
-            assert found == pytest.approx(wanted, rel=1e-6, abs=1e-9), source
+            assert result == pytest.approx(wanted, rel=1e-6, abs=1e-9), source
         elif math.isnan(wanted):
-            assert math.isnan(found), source
+            assert math.isnan(result), source
 
 
 def _call(address, inputs, count):

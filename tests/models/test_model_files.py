@@ -10,14 +10,14 @@ from labrun.models import Site, load_model, parse_model, simulate
 def test_everything_a_file_says_is_in_the_model():
     model = parse_model(OSCILLATOR, "oscillator.toml")
     assert model.states == ("angle", "rate")
-    assert [one.name for one in model.inputs] == ["torque"]
-    assert [one.name for one in model.outputs] == ["angle", "torque", "spring"]
+    assert [signal.name for signal in model.inputs] == ["torque"]
+    assert [output.name for output in model.outputs] == ["angle", "torque", "spring"]
     inertia, stiffness, _ = model.parameters
     assert (inertia.value, inertia.tolerance, inertia.unit) == (2.0, 0.1, "kg m^2")
     assert stiffness.tolerance == "free"
     assert model.sites == (Site("hinge", "joint", "angle", "rate", "10*angle", "stiffness"),)
     assert model.initial == {"angle": "first", "rate": 0.0}
-    assert [(one.name, one.kind) for one in model.places][1:] == [
+    assert [(location.name, location.kind) for location in model.places][1:] == [
         ("torque", "input"), ("angle", "output"), ("torque", "output"), ("spring", "output"),
     ]  # fmt: skip
 
@@ -86,8 +86,8 @@ def test_inputs_may_say_their_unit_and_how_they_run_between_samples():
     text = FOLLOWER.replace('inputs = ["u"]', "").replace(
         "[parameters]", '[inputs]\nu = { unit = "V", between = "hold" }\n[parameters]'
     )
-    (one,) = parse_model(text, "f.toml").inputs
-    assert (one.unit, one.between) == ("V", "hold")
+    (port,) = parse_model(text, "f.toml").inputs
+    assert (port.unit, port.between) == ("V", "hold")
 
 
 SHARED = OSCILLATOR.replace(
@@ -101,12 +101,12 @@ SHARED = SHARED.replace("- stiffness*angle - damping*rate", "- all").replace(
 def test_expressions_that_equations_share_are_named_once_and_give_the_same_simulation():
     time_s = np.linspace(0.0, 3.0, 301)
     torque = np.sin(3.0 * time_s)[:, None]
-    found = [
+    results = [
         simulate(parse_model(text, "o.toml"), time_s, torque, initial_state=[0.2, -1.0])
         for text in (OSCILLATOR, SHARED)
     ]
     # what is summed in another order differs by rounding
-    np.testing.assert_allclose(found[0].outputs, found[1].outputs, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(results[0].outputs, results[1].outputs, rtol=0, atol=1e-12)
 
 
 SHARED_FAULTS = {
@@ -268,7 +268,7 @@ def test_all_faults_of_a_file_are_told_at_once():
     )
     with pytest.raises(ModelError) as caught:
         parse_model(text, "bad.toml")
-    assert [one["key"] for one in caught.value.details["problems"]] == [
+    assert [problem["key"] for problem in caught.value.details["problems"]] == [
         "parameters.inertia.tolerence", "equations.rate", "sites.hinge.kind",
     ]  # fmt: skip
     text = OSCILLATOR.replace('spring = "stiffness*angle', 'spring = "force.knee').replace(

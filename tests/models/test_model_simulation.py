@@ -106,9 +106,9 @@ def test_a_static_relation_has_inputs_outputs_and_conditions():
     time_s, inputs = np.arange(20.0), rng.normal(size=(20, 2))
     condition = {"density": 1.2, "flap": 1, "offset": 0.5, "day": "Monday"}
     speed, angle = inputs.T
-    found = simulate(model, time_s, inputs, parameters={"gain": 2.0}, condition=condition)
+    result = simulate(model, time_s, inputs, parameters={"gain": 2.0}, condition=condition)
     expected = np.column_stack([2.4 * speed**2 * np.sin(angle), 4 * speed**2 + 0.5])
-    np.testing.assert_allclose(found.outputs, expected, rtol=1e-14)
+    np.testing.assert_allclose(result.outputs, expected, rtol=1e-14)
     fixed = {"parameters": {"gain": 2.0}, "condition": condition}
     assert suggest_substeps(model, time_s, inputs, **fixed) == 1
     leak = load_effect("cross-talk").attach("lift", share=0.1)
@@ -173,15 +173,15 @@ def test_a_prepared_drive_gives_the_same_as_its_inputs():
 
 def test_nominal_values_and_vectors_and_mappings_of_parameters_agree():
     u = np.ones((401, 1))
-    one = simulate(
+    simulated = simulate(
         OSCILLATOR_MODEL, TIME, u, parameters=np.array([3.0, 50.0, 0.8]), initial_state=[0, 0], substeps=2
     )
     two = simulate(OSCILLATOR_MODEL, TIME, u, parameters={"inertia": 3.0}, initial_state=[0, 0], substeps=2)
     three = simulate(
         OSCILLATOR_MODEL.with_values({"inertia": 3.0}), TIME, u, initial_state=[0, 0], substeps=2
     )
-    assert np.array_equal(one.outputs, two.outputs)
-    assert np.array_equal(one.outputs, three.outputs)
+    assert np.array_equal(simulated.outputs, two.outputs)
+    assert np.array_equal(simulated.outputs, three.outputs)
 
 
 @pytest.mark.parametrize(

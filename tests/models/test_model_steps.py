@@ -71,9 +71,9 @@ def test_a_single_step_is_of_order_four_and_a_pair_of_order_five(substeps, order
     nothing = np.empty((81, 0))
     coarse, fine = (
         np.abs(
-            simulate(PENDULUM_MODEL, TIME, nothing, initial_state=[1.5, 0.0], substeps=one).states - exact
+            simulate(PENDULUM_MODEL, TIME, nothing, initial_state=[1.5, 0.0], substeps=substep).states - exact
         ).max()
-        for one in substeps
+        for substep in substeps
     )
     assert np.log(coarse / fine) / np.log(substeps[1] / substeps[0]) == pytest.approx(order, abs=0.35)
 
@@ -83,12 +83,12 @@ def test_an_input_that_jumps_between_two_substeps_is_stepped_to_the_jump():
     u = drive.u.copy()
     u[1] = 1.0  # on from the middle of the only interval
     jumping = dataclasses.replace(drive, u=u, u_last=np.ones(1))
-    found = simulate(MODEL, TIME[:2], jumping, initial_state=[0.0, 0.0]).states[-1]
+    state = simulate(MODEL, TIME[:2], jumping, initial_state=[0.0, 0.0]).states[-1]
     half_s = 0.5 * (TIME[1] - TIME[0])
     later = simulate(
         MODEL, np.array([0.0, half_s]), np.ones((2, 1)), initial_state=[0.0, 0.0], substeps=1
     ).states[-1]
-    assert found == pytest.approx(later, abs=1e-12)
+    assert state == pytest.approx(later, abs=1e-12)
 
 
 def test_an_output_effect_leaves_the_motion_as_it_is_and_sees_it_between_the_samples():
@@ -99,8 +99,8 @@ def test_an_output_effect_leaves_the_motion_as_it_is_and_sees_it_between_the_sam
     assert np.array_equal(neutral.states, plain.states)
     lag = LAG.attach("angle", time_constant=0.03)
     lagged, fine = (
-        simulate(MODEL, TIME, DRIVE, initial_state=[0.3, 0.0], substeps=one, effects=[lag]).outputs[:, 0]
-        for one in (8, 64)
+        simulate(MODEL, TIME, DRIVE, initial_state=[0.3, 0.0], substeps=steps, effects=[lag]).outputs[:, 0]
+        for steps in (8, 64)
     )
     assert lagged == pytest.approx(fine, abs=5e-4)
     assert np.max(np.abs(lagged - plain.outputs[:, 0])) > 0.02
@@ -114,8 +114,8 @@ def test_a_site_of_plain_names_is_read_as_its_function_gives_it(coefficient, sha
         [DRAG.attach("hinge", coefficient=coefficient), SILENT.attach("hinge", share=share)],
     ):
         named, called = (
-            simulate(one, TIME, DRIVE, initial_state=[0.3, 0.0], substeps=substeps, effects=effects).outputs
-            for one in (MODEL, _by_hand())
+            simulate(model, TIME, DRIVE, initial_state=[0.3, 0.0], substeps=substeps, effects=effects).outputs
+            for model in (MODEL, _by_hand())
         )
         assert named == pytest.approx(called, abs=1e-12)
 
@@ -130,7 +130,7 @@ def test_a_law_that_reads_the_load_without_saying_so_gets_it():
 
 
 def test_changed_values_and_changed_models_are_noticed():
-    weak, strong = (DRAG.attach("hinge", coefficient=one) for one in (0.1, 2.0))
+    weak, strong = (DRAG.attach("hinge", coefficient=coefficient) for coefficient in (0.1, 2.0))
     first = simulate(MODEL, TIME, DRIVE, initial_state=[0.3, 0.0], substeps=2, effects=[weak]).outputs
     second = simulate(MODEL, TIME, DRIVE, initial_state=[0.3, 0.0], substeps=2, effects=[strong]).outputs
     again = simulate(MODEL, TIME, DRIVE, initial_state=[0.3, 0.0], substeps=2, effects=[weak]).outputs

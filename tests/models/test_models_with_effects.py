@@ -47,11 +47,12 @@ def test_effects_of_a_file_act_as_if_they_were_given():
     bare = parse_model(OSCILLATOR, "o.toml")
     model = parse_model(OSCILLATOR + FRICTION, "o.toml")
     expected = simulate(bare, TIME_S, TORQUE, initial_state=START, effects=attached(), substeps=4)
-    found = simulate(model, TIME_S, TORQUE, initial_state=START, substeps=4)
-    assert found.finite
-    np.testing.assert_array_equal(found.outputs, expected.outputs)
+    result = simulate(model, TIME_S, TORQUE, initial_state=START, substeps=4)
+    assert result.finite
+    np.testing.assert_array_equal(result.outputs, expected.outputs)
     assert (
-        np.ptp(simulate(bare, TIME_S, TORQUE, initial_state=START).outputs[:, 0] - found.outputs[:, 0]) > 1e-3
+        np.ptp(simulate(bare, TIME_S, TORQUE, initial_state=START).outputs[:, 0] - result.outputs[:, 0])
+        > 1e-3
     )
 
 
@@ -93,7 +94,7 @@ def test_a_stepper_adds_the_effects_that_are_carried():
     bare = parse_model(OSCILLATOR, "o.toml")
     model = parse_model(OSCILLATOR + FRICTION, "o.toml")
     steps = [Stepper(model, step_s=0.01), Stepper(bare, effects=attached(), step_s=0.01)]
-    carried, given = [one.advance(TORQUE) for one in steps]
+    carried, given = [step.advance(TORQUE) for step in steps]
     np.testing.assert_array_equal(carried, given)
 
 
@@ -101,8 +102,8 @@ def test_a_model_without_states_may_carry_a_filter():
     text = 'name = "wire"\ninputs = ["u"]\n[outputs]\ny = "u"\n'
     lag = '[[effects]]\neffect = "lag"\nsite = "u"\nvalues = { time_constant = 0.1 }\n'
     time_s = np.linspace(0.0, 1.0, 1001)
-    found = simulate(parse_model(text + lag, "w.toml"), time_s, time_s[:, None]).outputs[:, 0]
-    np.testing.assert_allclose(found, time_s - 0.1 * (1 - np.exp(-time_s / 0.1)), atol=1e-9)
+    result = simulate(parse_model(text + lag, "w.toml"), time_s, time_s[:, None]).outputs[:, 0]
+    np.testing.assert_allclose(result, time_s - 0.1 * (1 - np.exp(-time_s / 0.1)), atol=1e-9)
 
 
 FAULTS = {
@@ -164,8 +165,8 @@ def test_a_file_may_refer_to_another_model(tmp_path):
         parse_model(OSCILLATOR, "o.toml"), TIME_S, TORQUE, parameters={"damping": 1.7},
         initial_state=START, effects=attached(), substeps=4,
     )  # fmt: skip
-    found = simulate(better, TIME_S, TORQUE, initial_state=START, substeps=4)
-    np.testing.assert_array_equal(found.outputs, expected.outputs)
+    result = simulate(better, TIME_S, TORQUE, initial_state=START, substeps=4)
+    np.testing.assert_array_equal(result.outputs, expected.outputs)
 
 
 BASE_FAULTS = {

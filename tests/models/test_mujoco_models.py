@@ -45,13 +45,13 @@ def test_an_oscillator_follows_its_closed_form(tmp_path):
         '<inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/>',
     )
     model = load(tmp_path, 'name = "o"\nmujoco = "arm.xml"\n[outputs]\nangle = "joint.h.position"\n', xml)
-    found = simulate(model, TIME_S, NOTHING, initial_state=[0.3, 0.0], substeps=8).outputs[:, 0]
+    result = simulate(model, TIME_S, NOTHING, initial_state=[0.3, 0.0], substeps=8).outputs[:, 0]
     inertia = 0.02
     decay, speed = 0.3 / (2 * inertia), np.sqrt(8 / inertia - (0.3 / (2 * inertia)) ** 2)
     expected = (
         0.3 * np.exp(-decay * TIME_S) * (np.cos(speed * TIME_S) + decay / speed * np.sin(speed * TIME_S))
     )
-    np.testing.assert_allclose(found, expected, atol=2e-7)
+    np.testing.assert_allclose(result, expected, atol=2e-7)
 
 
 def test_a_wide_swing_has_the_period_of_the_elliptic_integral(tmp_path):
@@ -95,7 +95,9 @@ EFFECTS = {
 
 
 def attached(name):
-    return [load_effect(one, kind).attach(site, **values) for one, kind, site, values in EFFECTS[name]]
+    return [
+        load_effect(effect_id, kind).attach(site, **values) for effect_id, kind, site, values in EFFECTS[name]
+    ]
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -104,10 +106,10 @@ def test_effects_act_as_on_the_same_body_given_as_equations(name, tmp_path):
     equations = parse_model(ARM_EQUATIONS, "arm.toml")
     given = {"initial_state": START, "effects": attached(name), "parameters": {"stiffness": 0.7, "mass": 0.5}}
     expected = simulate(equations, TIME_S, TORQUE, substeps=4, **given)
-    found = simulate(body, TIME_S, TORQUE, substeps=4, **given)
-    assert found.finite
-    np.testing.assert_allclose(found.outputs, expected.outputs, atol=1e-11)
-    np.testing.assert_allclose(found.states, expected.states, atol=1e-10)
+    result = simulate(body, TIME_S, TORQUE, substeps=4, **given)
+    assert result.finite
+    np.testing.assert_allclose(result.outputs, expected.outputs, atol=1e-11)
+    np.testing.assert_allclose(result.states, expected.states, atol=1e-10)
     assert suggest_substeps(body, TIME_S, TORQUE, **given) == suggest_substeps(
         equations, TIME_S, TORQUE, **given
     )
@@ -117,7 +119,7 @@ def test_what_a_model_offers_is_there(tmp_path):
     body, equations = load(tmp_path, ARM_TABLE, ARM), parse_model(ARM_EQUATIONS, "arm.toml")
     for name in ("states", "inputs", "places", "parameters", "conditions"):
         assert getattr(body, name) == getattr(equations, name), name
-    assert [one.name for one in body.outputs] == ["angle", "torque"]
+    assert [output.name for output in body.outputs] == ["angle", "torque"]
     assert body.initial == {"angle": "first", "rate": 0.0}
     assert body.initial_state({}, first={"angle": 0.2}).tolist() == [0.2, 0.0]
     assert body.notes == ()
@@ -137,11 +139,12 @@ def test_its_equations_can_be_asked_from_python(tmp_path):
 def test_other_values_and_other_inputs_between_samples_are_kept(tmp_path):
     body, equations = load(tmp_path, ARM_TABLE, ARM), parse_model(ARM_EQUATIONS, "arm.toml")
     made = [
-        one.with_values({"mass": 0.6}).with_between({"torque": "hold"}).with_effects(attached("backlash"))
-        for one in (pickle.loads(pickle.dumps(body)), equations)
+        model.with_values({"mass": 0.6}).with_between({"torque": "hold"}).with_effects(attached("backlash"))
+        for model in (pickle.loads(pickle.dumps(body)), equations)
     ]
     first, second = [
-        simulate(one, TIME_S, prepare(one, TIME_S, TORQUE, 2), initial_state=START).outputs for one in made
+        simulate(variant, TIME_S, prepare(variant, TIME_S, TORQUE, 2), initial_state=START).outputs
+        for variant in made
     ]
     np.testing.assert_allclose(first, second, atol=1e-11)
 
@@ -170,7 +173,7 @@ def _swing(task):
 
 def _cache_hits(body):
     functions = (body.derivative, body.output, body.site_values)
-    return [compiled(one.signature, one.provide()).cache_hits for one in functions]
+    return [compiled(function.signature, function.provide()).cache_hits for function in functions]
 
 
 def test_threads_and_processes_get_the_same_numbers_and_another_process_compiles_nothing(tmp_path):
@@ -221,8 +224,8 @@ def test_a_double_pendulum_moves_as_mujoco_itself_moves_it(tmp_path):
         if step % 20 == 19:
             expected.append(data.qpos[1])
     time_s = np.linspace(0.0, 1.0, 101)
-    found = simulate(model, time_s, np.empty((101, 0)), initial_state=[1.0, -0.5, 0.0, 2.0], substeps=20)
-    np.testing.assert_allclose(found.outputs[:, 0], expected, atol=1e-9)
+    result = simulate(model, time_s, np.empty((101, 0)), initial_state=[1.0, -0.5, 0.0, 2.0], substeps=20)
+    np.testing.assert_allclose(result.outputs[:, 0], expected, atol=1e-9)
 
 
 def test_a_spinning_body_follows_eulers_equations(tmp_path):
@@ -243,8 +246,8 @@ def test_a_spinning_body_follows_eulers_equations(tmp_path):
 
     start = [1.0, 0, 0, 0, 0.3, 4.0, 0.2]
     exact = solve_ivp(euler, (0, 3), start, t_eval=TIME_S, rtol=1e-11, atol=1e-12).y
-    found = simulate(model, TIME_S, NOTHING, initial_state=start, substeps=8).outputs
-    np.testing.assert_allclose(found, exact[[4, 0, 3]].T, atol=1e-7)
+    outputs = simulate(model, TIME_S, NOTHING, initial_state=start, substeps=8).outputs
+    np.testing.assert_allclose(outputs, exact[[4, 0, 3]].T, atol=1e-7)
 
 
 def test_a_free_body_answers_to_gravity_and_to_a_force(tmp_path):
@@ -257,11 +260,11 @@ def test_a_free_body_answers_to_gravity_and_to_a_force(tmp_path):
     model = load(tmp_path, table, xml)
     assert model.parameters[0].value == -9.81
     push = np.full((len(TIME_S), 1), 3.0)
-    found = simulate(
+    outputs = simulate(
         model, TIME_S, push, parameters={"g": -2.0}, condition={"speed": 0.5}, substeps=1
     ).outputs
     np.testing.assert_allclose(
-        found, np.column_stack([0.5 * TIME_S + 0.75 * TIME_S**2, -(TIME_S**2)]), atol=1e-10
+        outputs, np.column_stack([0.5 * TIME_S + 0.75 * TIME_S**2, -(TIME_S**2)]), atol=1e-10
     )
 
 
@@ -276,10 +279,10 @@ def test_an_actuator_with_memory_is_a_state(tmp_path):
     [outputs]\nforce="actuator.muscle.force"\ndrive="sensor.drive"\nspeed="sensor.gyro"\nacc="joint.h.acceleration"\n"""
     model = load(tmp_path, table, xml)
     assert model.states[-1] == "muscle_activation"
-    found = simulate(model, TIME_S, np.ones((301, 1)), parameters={"tau": 0.5}, substeps=2).outputs
+    outputs = simulate(model, TIME_S, np.ones((301, 1)), parameters={"tau": 0.5}, substeps=2).outputs
     force = 1 - np.exp(-TIME_S / 0.5)
-    np.testing.assert_allclose(found[:, [0, 1, 3]], np.column_stack([force] * 3), atol=1e-9)
-    np.testing.assert_allclose(found[:, 2], TIME_S - 0.5 * force, atol=1e-9)
+    np.testing.assert_allclose(outputs[:, [0, 1, 3]], np.column_stack([force] * 3), atol=1e-9)
+    np.testing.assert_allclose(outputs[:, 2], TIME_S - 0.5 * force, atol=1e-9)
 
 
 def test_a_servos_gains_are_parameters(tmp_path):
@@ -290,16 +293,16 @@ def test_a_servos_gains_are_parameters(tmp_path):
     table = """name="s"\nmujoco="arm.xml"\n[inputs]\ngoal="actuator.servo"\n[parameters]
     kp = { mjcf = "actuator.servo.kp" }\nkv = { mjcf = "actuator.servo.kv" }\n[outputs]\nangle="joint.h.position"\n"""
     model = load(tmp_path, table, xml)
-    assert [one.value for one in model.parameters] == [3.0, 0.1]
+    assert [parameter.value for parameter in model.parameters] == [3.0, 0.1]
     equations = parse_model(
         'name="s"\nstates=["a","b"]\ninputs=["goal"]\n[parameters]\nkp=3\nkv=0.1\n[equations]\na="b"\n'
         'b="(kp*(goal-a)-kv*b)/0.5"\n[outputs]\nangle="a"\n', "s.toml",
     )  # fmt: skip
     first, second = [
         simulate(
-            one, TIME_S, TORQUE, parameters={"kp": 5.0, "kv": 0.7}, initial_state=[0.1, 0.0], substeps=2
+            other, TIME_S, TORQUE, parameters={"kp": 5.0, "kv": 0.7}, initial_state=[0.1, 0.0], substeps=2
         ).outputs
-        for one in (model, equations)
+        for other in (model, equations)
     ]
     np.testing.assert_allclose(first, second, atol=1e-11)
 
@@ -317,8 +320,8 @@ def test_a_centre_of_mass_can_be_moved(tmp_path):
         '[outputs]\na="a"\n', "c.toml",
     )  # fmt: skip
     first, second = [
-        simulate(one, TIME_S, NOTHING, parameters={"r": 0.05}, initial_state=[0.4, 0.0], substeps=4).outputs
-        for one in (model, equations)
+        simulate(other, TIME_S, NOTHING, parameters={"r": 0.05}, initial_state=[0.4, 0.0], substeps=4).outputs
+        for other in (model, equations)
     ]
     np.testing.assert_allclose(first, second, atol=1e-11)
 
@@ -366,11 +369,11 @@ def test_a_ball_that_falls_on_a_floor_stays_there(tmp_path):
       </mujoco>"""
     table = 'name="ball"\nmujoco="arm.xml"\n[outputs]\nheight="body.ball.position[2]"\n'
     model = load(tmp_path, table, xml)
-    found = simulate(model, TIME_S, NOTHING, substeps=16)
-    assert found.finite
-    assert found.outputs[0, 0] == pytest.approx(0.3)
-    assert found.outputs[-1, 0] == pytest.approx(0.1, abs=2e-3)
-    np.testing.assert_array_equal(simulate(model, TIME_S, NOTHING, substeps=16).outputs, found.outputs)
+    result = simulate(model, TIME_S, NOTHING, substeps=16)
+    assert result.finite
+    assert result.outputs[0, 0] == pytest.approx(0.3)
+    assert result.outputs[-1, 0] == pytest.approx(0.1, abs=2e-3)
+    np.testing.assert_array_equal(simulate(model, TIME_S, NOTHING, substeps=16).outputs, result.outputs)
 
 
 @pytest.mark.parametrize(
@@ -385,7 +388,7 @@ def test_impossible_parameters_end_a_simulation_and_nothing_else(parameters, tmp
     assert not blown.finite
     assert np.isnan(blown.outputs[-1]).all()
     assert simulate(model, TIME_S, TORQUE, initial_state=START, substeps=1).finite
-    assert sorted(one.name for one in tmp_path.iterdir()) == ["arm.toml", "arm.xml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.toml", "arm.xml"]
 
 
 def test_its_corrected_model_refers_to_it(tmp_path):
@@ -410,8 +413,8 @@ def test_the_shipped_body_swings_as_its_equations_say():
     for parameters in (None, values):
         first, second = [
             simulate(
-                one, TIME_S, NOTHING, parameters=parameters, initial_state=[1.0, 0.0], substeps=4
+                model, TIME_S, NOTHING, parameters=parameters, initial_state=[1.0, 0.0], substeps=4
             ).outputs
-            for one in (body, equations)
+            for model in (body, equations)
         ]
         np.testing.assert_allclose(first, second, atol=1e-11)

@@ -16,8 +16,8 @@ def derivative(t, x, u, p, force, dx):
 
 
 def output(t, x, u, p, force, y):
-    place = 3.0 + min(abs(x[0]), 3.0) / 3.0 * 49_999
-    y[0] = p[int(place)]
+    scaled = 3.0 + min(abs(x[0]), 3.0) / 3.0 * 49_999
+    y[0] = p[int(scaled)]
     y[1] = x[0]
 
 

@@ -21,11 +21,11 @@ def test_the_models_beside_real_recordings_simulate(recordings, folder, file, co
     with (recordings / folder / file).open() as stream:
         rows = list(csv.DictReader(stream))
     time_s = np.array([float(row["time_s"]) for row in rows])
-    inputs = np.array([[float(row[one.name]) for one in model.inputs] for row in rows]).reshape(
+    inputs = np.array([[float(row[signal.name]) for signal in model.inputs] for row in rows]).reshape(
         len(rows), len(model.inputs)
     )
-    model = model.with_between(dict.fromkeys([one.name for one in model.inputs], between))
+    model = model.with_between(dict.fromkeys([signal.name for signal in model.inputs], between))
     result = simulate(model, time_s, inputs, condition=condition, initial_state=states)
     assert result.finite
-    measured = np.array([[float(row[one.name]) for one in model.outputs] for row in rows])
+    measured = np.array([[float(row[output.name]) for output in model.outputs] for row in rows])
     assert np.std(result.outputs) < 20 * np.std(measured)

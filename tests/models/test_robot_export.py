@@ -52,13 +52,13 @@ def corrected(folder, effects, values=""):
     lines = ['base = "arm.xml"', "[values]", values]
     for name in effects:
         kind, site, numbers, _ = EFFECTS[name]
-        told = ", ".join(f"{key} = {value}" for key, value in numbers.items())
+        message = ", ".join(f"{key} = {value}" for key, value in numbers.items())
         lines += [
             "[[effects]]",
             f'effect = "{name}"',
             f'site = "{site}"',
             f'kind = "{kind}"',
-            f"values = {{ {told} }}",
+            f"values = {{ {message} }}",
         ]
     (folder / "corrected.toml").write_text("\n".join(lines) + "\n")
     return load_model(folder / "corrected.toml")
@@ -118,14 +118,14 @@ TWO_LINKS = """
 """
 
 
-def turned(xml, roll, pitch, load, place):
+def turned(xml, roll, pitch, load, load_at):
     """Return MuJoCo's own model of the arm on a turned base, with a ball on its last link."""
     spec = mujoco.MjSpec()
     spec.compiler.degree, spec.option.timestep = False, 0.001
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     base = spec.worldbody.add_body(name="base", euler=[roll, 0, 0]).add_body(euler=[0, pitch, 0])
     spec.attach(mujoco.MjSpec.from_string(xml), frame=base.add_frame(), prefix="in-")
-    tip = spec.body("in-lower").add_body(pos=place)
+    tip = spec.body("in-lower").add_body(pos=load_at)
     tip.mass, tip.ipos, tip.inertia, tip.explicitinertial = load, [0, 0, 0], [1e-9] * 3, True
     return spec.compile()
 
@@ -137,17 +137,17 @@ def moved(native, joints):
     places = [native.joint(name).qposadr[0] for name in joints]
     time_s = np.arange(0.0, 3.0, 0.01)
     goals = np.column_stack([0.7 * np.sin(2 * np.pi * 0.7 * time_s), 0.5 * np.sin(2 * np.pi * 0.4 * time_s)])
-    for told in goals:
+    for goal in goals:
         angles.append(data.qpos[places].copy())
-        data.ctrl[controls] = told
+        data.ctrl[controls] = goal
         mujoco.mj_step(native, data, nstep=10)
     return time_s, goals, np.array(angles)
 
 
-@pytest.mark.parametrize("place", [(0.2, 0.0, 0.0), (0.14, 0.05, 0.0)])
-def test_a_tilted_base_and_a_load_are_in_the_exported_file(tmp_path, place):
+@pytest.mark.parametrize("load_at", [(0.2, 0.0, 0.0), (0.14, 0.05, 0.0)])
+def test_a_tilted_base_and_a_load_are_in_the_exported_file(tmp_path, load_at):
     (tmp_path / "arm.xml").write_text(TWO_LINKS)
-    at = "".join(f"tip_load_{axis} = {value}\n" for axis, value in zip("xyz", place, strict=True))
+    at = "".join(f"tip_load_{axis} = {value}\n" for axis, value in zip("xyz", load_at, strict=True))
     (tmp_path / "corrected.toml").write_text(
         f'base = "arm.xml"\n[values]\nbase_roll = 0.08\nbase_pitch = -0.06\ntip_load = 0.12\n{at}'
     )
@@ -159,7 +159,7 @@ def test_a_tilted_base_and_a_load_are_in_the_exported_file(tmp_path, place):
     begin = np.zeros(4)
     own = simulate(model, time_s, goals, initial_state=begin).outputs
     _, _, level = moved(mujoco.MjModel.from_xml_string(TWO_LINKS), joints)
-    _, _, real = moved(turned(TWO_LINKS, 0.08, -0.06, 0.12, place), ["in-shoulder", "in-elbow"])
+    _, _, real = moved(turned(TWO_LINKS, 0.08, -0.06, 0.12, load_at), ["in-shoulder", "in-elbow"])
     assert np.sqrt(np.mean((level - real) ** 2, axis=0)).min() > 5 * NOISE_RAD, "both are to be seen at all"
     assert np.sqrt(np.mean((alone - own) ** 2)) < NOISE_RAD
     assert np.sqrt(np.mean((real - own) ** 2)) < NOISE_RAD
@@ -190,8 +190,8 @@ def test_a_body_that_is_heavier_turns_less_easily_in_proportion_and_is_told_by_i
 
 def test_intervals_are_told_as_the_numbers_of_mjcf(tmp_path):
     model = corrected(tmp_path, [])
-    found = mjcf_ranges(model, {"servo_kp": (8.0, 7.5, 8.5), "upper_mass": (0.3, 0.29, 0.31)})
-    assert [(one.array, one.element, one.joint, one.low, one.high) for one in found] == [
+    ranges = mjcf_ranges(model, {"servo_kp": (8.0, 7.5, 8.5), "upper_mass": (0.3, 0.29, 0.31)})
+    assert [(r.array, r.element, r.joint, r.low, r.high) for r in ranges] == [
         ("actuator_gainprm", "servo", "shoulder", 7.5, 8.5), ("body_mass", "upper", "", 0.29, 0.31),
     ]  # fmt: skip
 

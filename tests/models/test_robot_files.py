@@ -45,25 +45,25 @@ def two(tmp_path):
 
 def test_every_joint_is_an_output_and_a_site(two):
     model = load_model(two)
-    assert [one.name for one in model.outputs] == ["j_1", "j_2"]
-    assert [(one.name, one.coordinate, one.rate) for one in model.sites] == [
+    assert [output.name for output in model.outputs] == ["j_1", "j_2"]
+    assert [(site.name, site.coordinate, site.rate) for site in model.sites] == [
         ("j_1", "j_1", "j_1_rate"), ("j_2", "j_2", "j_2_rate"),
     ]  # fmt: skip
 
 
 def test_a_control_means_what_the_actuators_force_says(two):
     robot = read_robot(two)
-    assert [(one.joint, one.command, one.unit) for one in robot.actuators] == [
+    assert [(actuator.joint, actuator.command, actuator.unit) for actuator in robot.actuators] == [
         ("j-1", "position", "rad"), ("j-2", "torque", "N m"), ("j-2", "other", "1"), ("j-1", "velocity", "rad/s"),
     ]  # fmt: skip
-    assert len({one.input for one in robot.actuators}) == 4
+    assert len({actuator.input for actuator in robot.actuators}) == 4
 
 
 def test_included_files_are_read_and_what_is_left_out_is_said(two):
     robot = read_robot(two)
-    said = " ".join(robot.remarks)
+    message = " ".join(robot.remarks)
     for words in ("1 mesh is missing", "contacts are switched off", "1 equality constraint is kept"):
-        assert words in said
+        assert words in message
     assert load_model(two).values[0] == pytest.approx(3.0)  # the damping of the included defaults
     assert "not-there" not in robot.xml
 
@@ -71,25 +71,25 @@ def test_included_files_are_read_and_what_is_left_out_is_said(two):
 def test_a_urdf_hangs_still_and_falls_like_a_pendulum(arm):
     model = load_model(arm)
     time_s = np.linspace(0.0, 0.5, 101)
-    found = simulate(
+    result = simulate(
         model, time_s, np.zeros((101, 0)), initial_state=[0.1, 0.0], parameters={"shoulder_damping": 0.0}
     )
     inertia, moment = 1e-3 + 0.5 * 0.1**2, 0.5 * 9.81 * 0.1
     expected = 0.1 * np.cos(np.sqrt(moment / inertia) * time_s)
     # the small-angle error is of this order
-    assert np.abs(found.outputs[:, 0] - expected).max() < 0.1 * 0.1**2
+    assert np.abs(result.outputs[:, 0] - expected).max() < 0.1 * 0.1**2
 
 
 @pytest.mark.parametrize(("drive", "unit"), [("position", "rad"), ("torque", "N m")])
 def test_a_joint_without_an_actuator_gets_the_one_that_is_asked_for(arm, drive, unit):
     robot = read_robot(arm, {"shoulder": drive})
-    assert [(one.command, one.unit) for one in robot.actuators] == [(drive, unit)]
+    assert [(actuator.command, actuator.unit) for actuator in robot.actuators] == [(drive, unit)]
     assert "shoulder: the file has no actuator there" in " ".join(robot.remarks)
 
 
 def test_of_a_servo_that_the_file_lacks_gain_braking_and_rotor_are_free(arm):
     parameters = parse_model(robot_table(read_robot(arm, {"shoulder": "position"})), "arm").parameters
-    assert {one.name for one in parameters if one.tolerance == "free"} == {
+    assert {parameter.name for parameter in parameters if parameter.tolerance == "free"} == {
         "shoulder_kp", "shoulder_damping", "shoulder_armature",
     }  # fmt: skip
 
@@ -99,7 +99,7 @@ def test_a_last_body_that_is_balanced_about_its_joint_takes_no_load(tmp_path):
         '<mujoco><worldbody><body name="x"><joint name="j" axis="0 0 1"/>'
         '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>'
     )
-    names = [one.name for one in load_model(tmp_path / "turret.xml").parameters]
+    names = [parameter.name for parameter in load_model(tmp_path / "turret.xml").parameters]
     assert "x_mass" in names
     assert "tip_load" not in names
 
@@ -109,7 +109,7 @@ def test_a_base_that_is_free_is_said_to_fall(tmp_path):
         '<mujoco><worldbody><body name="torso"><freejoint/><geom size="0.1"/><body name="x">'
         '<joint name="j" axis="0 1 0"/><geom size="0.1"/></body></body></worldbody></mujoco>'
     )
-    assert any("nothing holds its free base" in one for one in read_robot(tmp_path / "leg.xml").remarks)
+    assert any("nothing holds its free base" in remark for remark in read_robot(tmp_path / "leg.xml").remarks)
 
 
 def test_a_robots_file_is_one_that_mujoco_3_reads_too(two):
@@ -131,7 +131,7 @@ def test_what_meshes_weigh_stays_and_the_robot_needs_no_other_file(tmp_path):
     (tmp_path / "meshes").mkdir()
     corners = ("0 0 0", "1 0 0", "0 1 0", "0 0 1")
     faces = ((1, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 4))
-    lines = [f"v {one}" for one in corners] + [f"f {a} {b} {c}" for a, b, c in faces]
+    lines = [f"v {corner}" for corner in corners] + [f"f {a} {b} {c}" for a, b, c in faces]
     (tmp_path / "meshes" / "m.obj").write_text("\n".join(lines) + "\n")
     (tmp_path / "a.xml").write_text(
         '<mujoco><compiler meshdir="meshes" texturedir="gone"/><asset><mesh name="m" file="m.obj"/>'
@@ -156,9 +156,9 @@ def test_a_file_that_mujoco_cannot_read_is_told(tmp_path, text):
 def test_the_file_says_that_inertia_follows_mass_and_why_a_servos_kv_stays(two):
     two.write_text(MJCF.replace('<velocity name="v" joint="j-1" kv="2"/>', ""))
     lines = robot_table(read_robot(two)).splitlines()
-    said = next(place for place, line in enumerate(lines) if line.startswith("# a body's inertia"))
-    assert lines[said - 1] == "[mjcf]"
-    assert any(line.startswith('"body.x.inertia[0]" = ') for line in lines[said + 1 :])
-    gain = next(place for place, line in enumerate(lines) if line.startswith("p_kp = "))
+    message = next(index for index, line in enumerate(lines) if line.startswith("# a body's inertia"))
+    assert lines[message - 1] == "[mjcf]"
+    assert any(line.startswith('"body.x.inertia[0]" = ') for line in lines[message + 1 :])
+    gain = next(index for index, line in enumerate(lines) if line.startswith("p_kp = "))
     assert lines[gain + 1].startswith("# its kv of 1 stays")
     assert not any(line.startswith("# its kv") for line in lines[gain + 2 :])

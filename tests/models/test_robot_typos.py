@@ -35,13 +35,13 @@ TYPOS = {
 }
 
 
-@pytest.mark.parametrize(("wrong", "told"), TYPOS.items(), ids=lambda one: one[1][:24])
-def test_a_typo_is_told_with_its_line_and_what_was_meant(tmp_path, wrong, told):
+@pytest.mark.parametrize(("wrong", "message"), TYPOS.items(), ids=lambda typo: typo[1][:24])
+def test_a_typo_is_told_with_its_line_and_what_was_meant(tmp_path, wrong, message):
     file = tmp_path / "arm.xml"
     file.write_text(XML.replace(*wrong), encoding="utf-8")
     with pytest.raises(ModelError) as error:
         read_robot(file)
-    assert re.search(told, str(error.value))
+    assert re.search(message, str(error.value))
 
 
 @pytest.mark.parametrize("typed", ["arm.xm", "arn.xml", "amr.toml"])

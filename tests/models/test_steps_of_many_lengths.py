@@ -55,7 +55,7 @@ def test_two_steps_of_one_interval_are_taken_as_one_where_their_number_is_even()
 
 
 def test_smooth_motion_is_as_exact_as_the_longest_steps_make_it():
-    fine, coarse, mixed = (_run(one).states for one in (64, 1, COUNTS))
+    fine, coarse, mixed = (_run(substeps).states for substeps in (64, 1, COUNTS))
     assert 0 < np.abs(mixed - fine).max() < np.abs(coarse - fine).max()
 
 
@@ -70,8 +70,8 @@ def test_short_steps_at_reversals_alone_do_for_friction_that_sticks_and_slips():
     slow = np.abs(exact[:, 1]) < 0.15
     slow = np.convolve(slow[:-1] | slow[1:], np.ones(3), "same") > 0
     assert 0.1 < slow.mean() < 0.5
-    fine, mixed, coarse = (_run(one, [FRICTION]).states for one in (64, np.where(slow, 64, 2), 2))
-    away = [np.abs(one - exact).max(axis=0) / np.ptp(exact, axis=0) for one in (fine, mixed, coarse)]
+    fine, mixed, coarse = (_run(substeps, [FRICTION]).states for substeps in (64, np.where(slow, 64, 2), 2))
+    away = [np.abs(states - exact).max(axis=0) / np.ptp(exact, axis=0) for states in (fine, mixed, coarse)]
     assert np.all(away[1] < 2e-4)
     assert np.all(away[1] < 0.05 * away[2])
     assert np.all(away[1] < 2.0 * away[0] + 1e-4)
@@ -95,7 +95,7 @@ OF_OUTPUTS = {
 @pytest.mark.parametrize("name", OF_INPUTS)
 def test_a_filter_of_an_input_gives_the_same_whatever_the_steps(name, between):
     effect = load_effect(name, "input").attach("u", **OF_INPUTS[name])
-    fine, mixed = (_run(one, [effect], between, WIRE).outputs for one in (16, COUNTS))
+    fine, mixed = (_run(substeps, [effect], between, WIRE).outputs for substeps in (16, COUNTS))
     assert np.ptp(fine) > 4.0
     # a limit that catches up with its signal within a step is straight up to the end of that
     tolerance = 12.0 * 0.02 / 4 if name == "rate-limit" else 1e-6
@@ -105,7 +105,7 @@ def test_a_filter_of_an_input_gives_the_same_whatever_the_steps(name, between):
 @pytest.mark.parametrize("name", OF_OUTPUTS)
 def test_a_filter_of_an_output_gives_the_same_whatever_the_steps(name):
     effect = load_effect(name, "output").attach("y", **OF_OUTPUTS[name])
-    fine, mixed = (_run(one, [effect], "linear", WIRE).outputs for one in (16, COUNTS))
+    fine, mixed = (_run(substeps, [effect], "linear", WIRE).outputs for substeps in (16, COUNTS))
     assert np.ptp(fine) > 4.0
     assert mixed == pytest.approx(fine, abs=1e-6)
 
@@ -116,8 +116,8 @@ def test_filters_before_and_behind_a_motion_are_as_exact_as_the_longest_steps_ma
         load_effect("lag", "output").attach("angle", time_constant=0.05),
         load_effect("delay", "output").attach("angle", delay=0.0471),
     ]
-    fine, mixed, coarse = (_run(one, effects).outputs for one in (64, COUNTS, 1))
-    away, far = (np.abs(one - fine).max() for one in (mixed, coarse))
+    fine, mixed, coarse = (_run(substeps, effects).outputs for substeps in (64, COUNTS, 1))
+    away, far = (np.abs(states - fine).max() for states in (mixed, coarse))
     assert away < 1.05 * far
     assert away < 2e-3 * np.ptp(fine)
 

@@ -30,7 +30,7 @@ speed = 0.0
 
 
 @pytest.mark.parametrize(
-    ("said", "output", "spring", "kind", "unit"),
+    ("message", "output", "spring", "kind", "unit"),
     [
         ('unit = "m"', 'way = { equation = "way", unit = "rad" }', "N m/rad", "joint", "m"),
         ("", 'way = { equation = "way", unit = "m" }', "N m/rad", "joint", "m"),
@@ -52,8 +52,8 @@ speed = 0.0
         "a body moves",
     ],
 )
-def test_the_unit_is_said_or_shown_or_that_of_the_spring_or_of_the_kind(said, output, spring, kind, unit):
-    model = parse_model(MODEL.format(said=said, output=output, spring=spring, kind=kind), "slide.toml")
+def test_the_unit_is_said_or_shown_or_that_of_the_spring_or_of_the_kind(message, output, spring, kind, unit):
+    model = parse_model(MODEL.format(said=message, output=output, spring=spring, kind=kind), "slide.toml")
     assert model.coordinate_unit(model.place("slide")) == unit
 
 

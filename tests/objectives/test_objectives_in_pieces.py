@@ -86,12 +86,12 @@ def test_the_counting_part_is_the_same_sample_for_sample(seed, cuts, lost):
     time_s, values = signals["w.x"].time_s, signals["w.x"].values
     if not 0.5 < time_s[lost] < 2.5:
         values[lost] = np.nan  # outside the window nobody asks for it
-    found = trial(Cut(signals, cuts), 0.5).counting("w.x")
+    counting = trial(Cut(signals, cuts), 0.5).counting("w.x")
     finite = np.isfinite(values)
     inner = (time_s > 0.5) & (time_s < 2.5)
     ends = np.interp([0.5, 2.5], time_s[finite], values[finite])
-    np.testing.assert_array_equal(found.time_s, [0.5, *time_s[inner], 2.5])
-    np.testing.assert_array_equal(found.values, [ends[0], *values[inner], ends[1]])
+    np.testing.assert_array_equal(counting.time_s, [0.5, *time_s[inner], 2.5])
+    np.testing.assert_array_equal(counting.values, [ends[0], *values[inner], ends[1]])
 
 
 @pytest.mark.parametrize("cuts", [[], [5, 20], [11]])

@@ -68,8 +68,8 @@ def test_what_a_drive_puts_in_is_told_by_power_and_is_what_friction_takes():
 
 def test_the_angle_that_was_told_stands_in_for_one_that_nothing_measures():
     signals = trial(lambda p: 0.4 * np.cos(p), lambda p: 0.6 * np.sin(p))
-    told = Work("wrench.torque_z", {"over_command": "wing", "part": "positive"})
-    assert told(signals) == pytest.approx(0.5 * math.pi * 0.4 * 0.6, rel=1e-3)
+    message = Work("wrench.torque_z", {"over_command": "wing", "part": "positive"})
+    assert message(signals) == pytest.approx(0.5 * math.pi * 0.4 * 0.6, rel=1e-3)
     with pytest.raises(ExperimentError, match="wnig"):
         Work("wrench.torque_z", {"over_command": "wnig"})(signals)
 

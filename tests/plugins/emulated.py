@@ -44,9 +44,9 @@ class EmulatedDevice:
 
     def wait_for(self, event: str, within_s: float = 5.0, after_s: float = 0.0) -> dict[str, Any]:
         """Return the first line of this kind after a time; AssertionError if there is none in time."""
-        found = self._until(lambda: [x for x in self.events(event) if x["time_s"] >= after_s], within_s)
-        assert found, f"the emulator of {self.name} saw no {event!r} within {within_s} s: {self.log()[-20:]}"
-        line: dict[str, Any] = found[0]
+        result = self._until(lambda: [x for x in self.events(event) if x["time_s"] >= after_s], within_s)
+        assert result, f"the emulator of {self.name} saw no {event!r} within {within_s} s: {self.log()[-20:]}"
+        line: dict[str, Any] = result[0]
         return line
 
     def wait_until(self, true: Any, within_s: float = 5.0) -> None:
@@ -93,9 +93,9 @@ class EmulatedDevice:
 
     def _until(self, look: Any, within_s: float) -> Any:
         deadline_s = self.clock.now() + within_s
-        while not (found := look()) and self.clock.now() < deadline_s:
+        while not (result := look()) and self.clock.now() < deadline_s:
             self.clock.sleep(POLL_S)
-        return found
+        return result
 
 
 @contextmanager

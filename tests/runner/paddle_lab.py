@@ -40,13 +40,13 @@ def merge(table, changes):
     merged = copy.deepcopy(table)
     for key, value in changes.items():
         *path, last = key.split(".")
-        place = merged
+        setdefault = merged
         for part in path:
-            place = place.setdefault(part, {})
+            setdefault = setdefault.setdefault(part, {})
         if value is None:
-            place.pop(last, None)
+            setdefault.pop(last, None)
         else:
-            place[last] = value
+            setdefault[last] = value
     return merged
 
 

@@ -87,7 +87,7 @@ def test_back_takes_an_answer_back_before_and_after_the_last_one():
     typist = Typist("12", "back", "24", "yes", "back", "no", "")
     events = []
     assert asking(typist, events).ask(0, "trial 1") == {"turning": 15.0, "swims": 0.0}
-    assert [(event, one["typed"], one["value"]) for event, one in events] == [
+    assert [(event, entry["typed"], entry["value"]) for event, entry in events] == [
         ("taken_back", "12", 30.0), ("taken_back", "yes", 1.0), ("answered", "24", 15.0), ("answered", "no", 0.0),
     ]  # fmt: skip
 

@@ -18,8 +18,8 @@ def test_an_objective_that_raises_anything_fails_its_trial_by_name_and_keeps_the
         trial__repeats=1,
         objectives__lift={"plugin": f"bad_objectives:{plugin}", "channel": "cell.force_x"},
     )
-    (found,) = lab.session.measure(ONE)
-    outcome = found.outcomes[0]
+    (result,) = lab.session.measure(ONE)
+    outcome = result.outcomes[0]
     assert outcome.status == "failed"
     assert f"objective lift of cell.force_x: {cause}" in outcome.reason
     with open_run(lab.folder.path) as run:

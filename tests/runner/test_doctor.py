@@ -25,10 +25,10 @@ def _of(findings, subject):
 
 def test_a_slow_latency_timer_is_a_warning_with_the_command_that_mends_it(adapter, tmp_path):
     adapter.write_text("16\n")
-    found = _of(doctor.examine_machine(tmp_path, tmp_path / "usb-serial"), "ttyUSB0")
-    assert found.verdict == "warning"
-    assert "16 ms" in found.message
-    assert str(adapter) in found.advice
+    result = _of(doctor.examine_machine(tmp_path, tmp_path / "usb-serial"), "ttyUSB0")
+    assert result.verdict == "warning"
+    assert "16 ms" in result.message
+    assert str(adapter) in result.advice
 
 
 def test_a_quick_latency_timer_is_fine(adapter, tmp_path):
@@ -38,9 +38,9 @@ def test_a_quick_latency_timer_is_fine(adapter, tmp_path):
 
 def test_a_port_without_permission_is_a_problem(adapter, tmp_path, monkeypatch):
     monkeypatch.setattr(doctor.os, "access", lambda path, mode: False)
-    found = _of(doctor.examine_machine(tmp_path, tmp_path / "usb-serial"), "ttyUSB0")
-    assert found.verdict == "problem"
-    assert "dialout" in found.advice
+    result = _of(doctor.examine_machine(tmp_path, tmp_path / "usb-serial"), "ttyUSB0")
+    assert result.verdict == "problem"
+    assert "dialout" in result.advice
 
 
 def test_a_disk_that_cannot_be_written_is_a_problem(tmp_path, monkeypatch):

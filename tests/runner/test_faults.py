@@ -35,22 +35,22 @@ def test_a_block_of_a_wrong_shape_is_an_error_that_says_so(lab):
 
 
 def test_a_saturated_recording_is_rejected_with_its_reason_and_replaced(lab):
-    (found,) = lab(rig__devices__cell__saturated_trials=[0]).session.measure(ONE)
-    assert [outcome.status for outcome in found.outcomes] == ["rejected", "done", "done"]
-    assert "samples at the end of the measuring range" in found.outcomes[0].reason
-    assert "thrust" in found.outcomes[0].objectives
+    (result,) = lab(rig__devices__cell__saturated_trials=[0]).session.measure(ONE)
+    assert [outcome.status for outcome in result.outcomes] == ["rejected", "done", "done"]
+    assert "samples at the end of the measuring range" in result.outcomes[0].reason
+    assert "thrust" in result.outcomes[0].objectives
 
 
 def test_a_recording_that_lost_too_many_samples_is_rejected_and_replaced(lab):
-    (found,) = lab(rig__devices__cell__lossy_trials=[1]).session.measure(ONE)
-    assert [outcome.status for outcome in found.outcomes] == ["done", "rejected", "done"]
-    assert "samples were lost (50 %, 2 % is allowed)" in found.outcomes[1].reason
+    (result,) = lab(rig__devices__cell__lossy_trials=[1]).session.measure(ONE)
+    assert [outcome.status for outcome in result.outcomes] == ["done", "rejected", "done"]
+    assert "samples were lost (50 %, 2 % is allowed)" in result.outcomes[1].reason
 
 
 def test_a_condition_that_is_always_rejected_does_not_hold_the_run_for_ever(lab):
-    (found,) = lab(rig__devices__cell__saturated_trials=list(range(99))).session.measure(ONE)
-    assert len(found.outcomes) == 3
-    assert not found.accepted
+    (result,) = lab(rig__devices__cell__saturated_trials=list(range(99))).session.measure(ONE)
+    assert len(result.outcomes) == 3
+    assert not result.accepted
 
 
 def test_a_faulty_trial_is_tried_again_on_a_reopened_device_where_the_file_says_so(lab):
@@ -59,8 +59,8 @@ def test_a_faulty_trial_is_tried_again_on_a_reopened_device_where_the_file_says_
         rig__devices__cell__silent_trials=[1],
         rig__devices__cell__silent_times=1,
     )
-    (found,) = lab.session.measure(ONE)
-    assert [(o.status, o.attempt, o.repeat) for o in found.outcomes] == [
+    (result,) = lab.session.measure(ONE)
+    assert [(o.status, o.attempt, o.repeat) for o in result.outcomes] == [
         ("done", 0, 0), ("failed", 0, 1), ("done", 1, 1),
     ]  # fmt: skip
     assert lab.rig.devices["cell"].opened == 2
@@ -68,11 +68,11 @@ def test_a_faulty_trial_is_tried_again_on_a_reopened_device_where_the_file_says_
 
 def test_a_faulty_trial_is_left_out_where_the_file_says_so(lab):
     lab = lab(trial__on_fault="skip", rig__devices__cell__silent_trials=[0])
-    found = lab.session.measure(TWO)
+    result = lab.session.measure(TWO)
     outcomes = lab.session.outcomes
     assert outcomes[0].status == "failed"
     assert all(outcome.attempt == 0 for outcome in outcomes)
-    assert [len(m.accepted) for m in found] == [2, 2]
+    assert [len(m.accepted) for m in result] == [2, 2]
 
 
 def test_a_plan_is_not_worn_out_by_a_device_that_fails_in_every_trial(lab):
@@ -96,8 +96,8 @@ def test_a_stopped_run_goes_on_after_the_fault_with_the_faulty_trial_kept(lab):
     with pytest.raises(SilentDeviceError):
         broken.session.measure(TWO)
     mended = lab(folder=RunFolder.open(broken.folder.path))
-    found = mended.session.measure(TWO)
-    assert [len(m.accepted) for m in found] == [2, 2]
+    result = mended.session.measure(TWO)
+    assert [len(m.accepted) for m in result] == [2, 2]
     assert mended.folder.outcomes()[1].status == "failed"
 
 

@@ -51,28 +51,28 @@ def port_of(bench, device):
 
 
 def test_every_device_is_asked_and_listened_to_and_nothing_moves(bench):
-    found, log = remarks_of(bench), bench.log("tail")
-    assert not [remark for remark in found if remark.verdict == "problem"], found
-    assert any(remark.message.startswith("RC servos on Arduino") for remark in found)
-    assert any("samples/s, 100 asked for" in remark.message for remark in found)
+    remarks, log = remarks_of(bench), bench.log("tail")
+    assert not [remark for remark in remarks if remark.verdict == "problem"], remarks
+    assert any(remark.message.startswith("RC servos on Arduino") for remark in remarks)
+    assert any("samples/s, 100 asked for" in remark.message for remark in remarks)
     assert "command" not in {line["event"] for line in log}
 
 
 def test_one_that_does_not_answer_is_a_problem_and_the_others_are_looked_at_all_the_same(bench):
     bench.inject("tail", "silence")
-    found = remarks_of(bench)
+    remarks = remarks_of(bench)
     bench.clear("tail", "silence")
-    (problem,) = [remark for remark in found if remark.verdict == "problem"]
+    (problem,) = [remark for remark in remarks if remark.verdict == "problem"]
     assert problem.subject == "tail"
     assert problem.advice
-    assert any(remark.subject == "wrench" and "Robotiq" in remark.message for remark in found)
+    assert any(remark.subject == "wrench" and "Robotiq" in remark.message for remark in remarks)
 
 
 def test_a_device_at_a_port_is_found_by_asking_for_each_kind_in_turn(bench):
     ports = {name: port_of(bench, name) for name in EXPERIMENT.rig.devices}
-    found = {remark.subject: remark for remark in find_devices(list(ports.values()))}
-    assert found[ports["tail"]].message.startswith("arduino-servo: labservo")
-    assert found[ports["wrench"]].message.startswith("robotiq-ft300: Robotiq FT300")
+    remarks = {remark.subject: remark for remark in find_devices(list(ports.values()))}
+    assert remarks[ports["tail"]].message.startswith("arduino-servo: labservo")
+    assert remarks[ports["wrench"]].message.startswith("robotiq-ft300: Robotiq FT300")
 
 
 def test_a_kind_whose_library_is_missing_says_what_to_install_and_keeps_no_other_from_asking(monkeypatch):
@@ -88,11 +88,11 @@ def test_a_kind_whose_library_is_missing_says_what_to_install_and_keeps_no_other
     kinds = {"missing": Missing, "there": There}
     monkeypatch.setattr(doctor, "_probes", lambda: {name: kind.probe for name, kind in kinds.items()})
     monkeypatch.setattr(doctor, "_require_free", lambda port: None)
-    missing, found = find_devices(["/dev/ttyUSB7"])
+    missing, result = find_devices(["/dev/ttyUSB7"])
     assert (missing.verdict, missing.subject) == ("warning", "/dev/ttyUSB7, missing")
     assert missing.message == "needs a library"
     assert missing.advice == "pip install 'labrun[robotiq]'"
-    assert found.message == "there: a thing, firmware 1.0"
+    assert result.message == "there: a thing, firmware 1.0"
 
 
 def test_a_machine_without_a_port_is_told_so():

@@ -32,8 +32,8 @@ def test_for_normal_data_the_score_is_the_distance_in_standard_deviations():
 
 
 def test_one_value_off_among_equals_is_still_found():
-    found = find_outliers(measured(*[1.0] * 9, 5.0), Outliers(rule="mad", threshold=3.5), "thrust")
-    assert list(found) == [9]
+    outliers = find_outliers(measured(*[1.0] * 9, 5.0), Outliers(rule="mad", threshold=3.5), "thrust")
+    assert list(outliers) == [9]
 
 
 def test_equal_values_hold_no_outlier():

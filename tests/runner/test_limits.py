@@ -64,10 +64,10 @@ def test_a_hot_servo_is_not_driven(lab):
 def test_the_plan_finds_every_condition_that_leaves_a_limit_before_anything_moves():
     experiment = experiment_with()
     conditions = [{"a": float(a), "f": 1.0} for a in range(10, 90, 5)]
-    found = Planner(experiment).plan(conditions)
-    assert [item.condition["a"] for item in found.excess] == [65.0, 70.0, 75.0, 80.0, 85.0]
+    result = Planner(experiment).plan(conditions)
+    assert [item.condition["a"] for item in result.excess] == [65.0, 70.0, 75.0, 80.0, 85.0]
     with pytest.raises(PlanError) as caught:
-        found.require_feasible()
+        result.require_feasible()
     text = str(caught.value)
     assert "5 of 16 conditions leave a limit" in text
     assert "a = 65, f = 1: angle of tail" in text
@@ -88,8 +88,8 @@ def test_speed_is_checked_too():
 
 
 def test_a_safe_pose_outside_the_limits_is_found_in_the_plan():
-    found = Planner(experiment_with(trial__safe_pose_deg={"tail": 75})).plan(ONE)
-    assert "safe pose of tail 75 deg is above the limit of 60 deg" in str(found.excess[0].excess[0])
+    result = Planner(experiment_with(trial__safe_pose_deg={"tail": 75})).plan(ONE)
+    assert "safe pose of tail 75 deg is above the limit of 60 deg" in str(result.excess[0].excess[0])
 
 
 def test_the_plan_counts_trials_time_disk_and_demand():
@@ -138,9 +138,9 @@ def test_an_empty_plan_is_refused():
 
 def test_as_many_whole_cycles_as_the_travel_allows_are_recorded(lab):
     lab = lab(**SLEDGE, trial__cycles="fit", trial__discard_cycles=1)
-    (found,) = lab.session.measure([{"a": 10, "f": 1.0, "v": 0.15}])
+    (result,) = lab.session.measure([{"a": 10, "f": 1.0, "v": 0.15}])
     # 0.8 m at 0.15 m/s is 5.33 s: five cycles of 1 s.
-    assert found.outcomes[0].duration_s == 5.0
+    assert result.outcomes[0].duration_s == 5.0
     _, goals, speeds = zip(*lab.rig.devices["sledge"].travels, strict=True)
     assert goals == (0.1, 0.9, 0.1, 0.9)
     assert speeds == (0.1, 0.15, 0.1, 0.15)
@@ -156,8 +156,8 @@ def test_a_travel_that_ends_before_the_recording_is_an_excess():
 
 def test_a_carriage_faster_than_its_limit_is_an_excess():
     experiment = experiment_with(**SLEDGE, trial__cycles=1, trial__discard_cycles=0)
-    found = Planner(experiment).excess_of({"a": 10, "f": 5.0, "v": 0.6})
-    assert any(str(excess) == "speed 0.6 m/s is above the limit of 0.5 m/s" for excess in found)
+    excesses = Planner(experiment).excess_of({"a": 10, "f": 5.0, "v": 0.6})
+    assert any(str(excess) == "speed 0.6 m/s is above the limit of 0.5 m/s" for excess in excesses)
 
 
 def test_cycles_that_fit_need_a_carriage_that_moves():

@@ -47,21 +47,21 @@ def bench(lab):
 
 def blocks(session):
     """Return mounting and specimen of each run of trials."""
-    found = []
+    results = []
     for outcome in session.outcomes:
-        one = (outcome.mounting, outcome.condition["specimen"])
-        if not found or found[-1] != one:
-            found.append(one)
-    return found
+        entry = (outcome.mounting, outcome.condition["specimen"])
+        if not results or results[-1] != entry:
+            results.append(entry)
+    return results
 
 
 def test_a_person_is_asked_once_per_change_and_every_specimen_is_mounted_as_often_as_the_file_says(bench):
     person = AtTheBench()
     session = bench(person).session
-    found = session.measure(CONDITIONS)
+    result = session.measure(CONDITIONS)
     assert [number for number, _ in blocks(session)] == [1, 2, 3, 4]
     assert sorted(specimen for _, specimen in blocks(session)) == ["p1", "p1", "p2", "p2"]
-    assert [len(item.accepted) for item in found] == [4] * 4  # two repeats in each of two mountings
+    assert [len(item.accepted) for item in result] == [4] * 4  # two repeats in each of two mountings
     assert len(person.asked) == 5
     assert person.asked[0].startswith(f"Mount {blocks(session)[0][1]} (mounting 1 of 4)")
     assert "All is measured" in person.asked[-1]
@@ -76,12 +76,12 @@ def test_a_specimen_mounted_twice_in_a_row_is_taken_out_in_between(bench):
 def test_a_wrong_mounting_is_taken_back_measured_anew_and_kept(bench):
     person = AtTheBench("", "", "back")
     session = bench(person).session
-    found = session.measure(CONDITIONS, order="as-listed")
+    result = session.measure(CONDITIONS, order="as-listed")
     assert blocks(session) == [(1, "p1"), (2, "p2"), (3, "p2"), (4, "p1"), (5, "p2")]
     taken_back = [outcome for outcome in session.outcomes if outcome.mounting == 2]
     assert [outcome.status for outcome in taken_back] == ["rejected"] * 4
     assert taken_back[0].reason == "set aside: mounting 2 was taken back"
-    assert [len(item.accepted) for item in found] == [4] * 4
+    assert [len(item.accepted) for item in result] == [4] * 4
     assert "Mount p2 (mounting 3 of 5)" in person.asked[3]
 
 
@@ -148,12 +148,12 @@ PAST = {"when": "a >= 20", "allow_damage": True}
 
 def test_trials_that_damage_come_last_on_each_specimen_and_once(bench):
     session = bench(AtTheBench(), damage=PAST).session
-    found = session.measure(CONDITIONS)
+    result = session.measure(CONDITIONS)
     for specimen in ("p1", "p2"):
         there = [outcome for outcome in session.outcomes if outcome.condition["specimen"] == specimen]
         assert [outcome.condition["a"] for outcome in there] == [10.0] * 4 + [20.0]
         assert [outcome.damage for outcome in there] == [""] * 4 + ["past its limit"]
-    assert [len(item.accepted) for item in found] == [4, 4, 1, 1]
+    assert [len(item.accepted) for item in result] == [4, 4, 1, 1]
 
 
 def test_a_broken_specimen_is_neither_measured_nor_mounted_again(bench):
@@ -183,8 +183,8 @@ def test_taking_a_mounting_back_takes_back_what_it_did_to_its_specimen(bench):
 
 def test_without_specimens_the_bench_is_the_one(lab):
     session = lab(damage=PAST).session
-    found = session.measure([{"a": 20, "f": 1.0}, {"a": 10, "f": 1.0}, {"a": 30, "f": 1.0}])
-    assert [len(item.accepted) for item in found] in ([1, 2, 0], [0, 2, 1])
+    result = session.measure([{"a": 20, "f": 1.0}, {"a": 10, "f": 1.0}, {"a": 30, "f": 1.0}])
+    assert [len(item.accepted) for item in result] in ([1, 2, 0], [0, 2, 1])
 
 
 def test_what_an_earlier_run_broke_is_neither_mounted_nor_measured_in_the_next(bench, tmp_path):
@@ -195,7 +195,7 @@ def test_what_an_earlier_run_broke_is_neither_mounted_nor_measured_in_the_next(b
     first = bench(AtTheBench(), damage=fragile)
     first.session.measure(CONDITIONS, order="as-listed")
     worn = worn_before([first.folder.path], first.experiment.damage, first.experiment.by_hand)
-    assert [(dict(one.specimen), one.damage) for one in worn] == [({"specimen": "p1"}, "broken")]
+    assert [(dict(other.specimen), other.damage) for other in worn] == [({"specimen": "p1"}, "broken")]
     assert worn[0].by.startswith("trial 0 of ")
 
     person = AtTheBench()
@@ -206,7 +206,7 @@ def test_what_an_earlier_run_broke_is_neither_mounted_nor_measured_in_the_next(b
 
     with pytest.raises(
         ExperimentError, match=r"p1 is broken since trial 0 of .*nothing is measured on it"
-    ) as told:
+    ) as raises:
         third = bench(AtTheBench(), damage=fragile, worn=worn, folder=new("third")).session
         third.measure(CONDITIONS[::2])
-    assert "damage.fresh=true" in told.value.hint
+    assert "damage.fresh=true" in raises.value.hint

@@ -36,14 +36,14 @@ def new_folder(path):
 def whole(tmp_path_factory):
     """Run everything without interruption, once."""
     lab = Lab(new_folder(tmp_path_factory.mktemp("whole")), experiment_with(**CHANGES))
-    found = lab.session.measure(CONDITIONS)
-    return lab, found
+    result = lab.session.measure(CONDITIONS)
+    return lab, result
 
 
 @given(cuts=st.lists(st.integers(1, 9), max_size=5))
 @settings(max_examples=8, deadline=None)
 def test_a_run_cut_anywhere_and_resumed_is_identical_to_one_that_never_stopped(whole, tmp_path_factory, cuts):
-    lab, found = whole
+    lab, result = whole
     path = new_folder(tmp_path_factory.mktemp("cut")).path
     for limit in cuts:
         try:
@@ -52,7 +52,7 @@ def test_a_run_cut_anywhere_and_resumed_is_identical_to_one_that_never_stopped(w
             continue
     resumed = Lab(RunFolder.open(path), experiment_with(**CHANGES))
     again = resumed.session.measure(CONDITIONS)
-    assert [values(m.outcomes) for m in again] == [values(m.outcomes) for m in found]
+    assert [values(m.outcomes) for m in again] == [values(m.outcomes) for m in result]
     assert resumed.folder.outcomes() == lab.folder.outcomes()
 
 

@@ -14,20 +14,20 @@ CONDITIONS = [{"a": 10, "f": 1.0}, {"a": 20, "f": 1.0}, {"a": 30, "f": 2.0}]
 
 
 def test_every_condition_is_measured_as_often_as_the_file_says(lab):
-    found = lab().session.measure(CONDITIONS)
-    assert [m.condition for m in found] == CONDITIONS
-    assert [len(m.accepted) for m in found] == [2, 2, 2]
-    assert found[2].mean("thrust") > found[1].mean("thrust") > found[0].mean("thrust")
+    result = lab().session.measure(CONDITIONS)
+    assert [m.condition for m in result] == CONDITIONS
+    assert [len(m.accepted) for m in result] == [2, 2, 2]
+    assert result[2].mean("thrust") > result[1].mean("thrust") > result[0].mean("thrust")
 
 
 def test_the_measured_force_is_that_of_the_bench(lab):
-    (found,) = lab(rig__devices__cell__noise_n=0.0, rig__scene__gain=0.5).session.measure(
+    (result,) = lab(rig__devices__cell__noise_n=0.0, rig__scene__gain=0.5).session.measure(
         [{"a": 20, "f": 1.0}]
     )
     # Force is 0.5 N s/rad times the rate of a 20 deg, 1 Hz sine; the standing 0.2 N is tared away.
     expected = 0.5 * 2 * np.pi * np.radians(20) / np.sqrt(2)
-    assert found.mean("thrust") == pytest.approx(expected, rel=0.01)
-    assert found.outcomes[0].tare["cell.force_x"] == pytest.approx(0.2, abs=1e-6)
+    assert result.mean("thrust") == pytest.approx(expected, rel=0.01)
+    assert result.outcomes[0].tare["cell.force_x"] == pytest.approx(0.2, abs=1e-6)
 
 
 def test_blocks_hold_every_condition_once_and_are_shuffled_anew(lab):
@@ -61,8 +61,8 @@ def test_repeats_go_on_until_the_standard_error_is_small_enough(lab):
 
 def test_repeats_end_at_the_maximum(lab):
     rule = RepeatRule(min=2, max=5, standard_error={"thrust": 1e-9})
-    (found,) = lab().session.measure([{"a": 10, "f": 1.0}], repeats=rule)
-    assert len(found.accepted) == 5
+    (result,) = lab().session.measure([{"a": 10, "f": 1.0}], repeats=rule)
+    assert len(result.accepted) == 5
 
 
 def test_a_reference_trial_comes_first_and_then_every_so_many(lab):
@@ -83,30 +83,30 @@ def test_an_outlier_is_rejected_by_the_declared_rule_kept_and_replaced(lab):
         trial__tare=None,
         rig__devices__cell__spike_trials=[2],
     )
-    (found,) = lab.session.measure([{"a": 10, "f": 1.0}])
-    rejected = [outcome for outcome in found.outcomes if outcome.status == "rejected"]
+    (result,) = lab.session.measure([{"a": 10, "f": 1.0}])
+    rejected = [outcome for outcome in result.outcomes if outcome.status == "rejected"]
     assert [outcome.index for outcome in rejected] == [2]
     assert rejected[0].reason.startswith("outlier: thrust = ")
-    assert len(found.accepted) == 6
+    assert len(result.accepted) == 6
     assert lab.folder.outcomes()[2].status == "rejected"
     assert rejected[0].objectives["thrust"] > 4
 
 
 def test_without_a_rule_nothing_is_rejected(lab):
-    (found,) = lab(trial__repeats=6, trial__tare=None, rig__devices__cell__spike_trials=[2]).session.measure(
+    (result,) = lab(trial__repeats=6, trial__tare=None, rig__devices__cell__spike_trials=[2]).session.measure(
         [{"a": 10, "f": 1.0}]
     )
-    assert len(found.outcomes) == len(found.accepted) == 6
+    assert len(result.outcomes) == len(result.accepted) == 6
 
 
 def test_an_objective_that_is_no_number_fails_the_trial_by_name_and_is_never_averaged(lab):
     lab = lab(objectives__lift={"plugin": "nan_objective:Nothing", "channel": "cell.force_x"})
-    (found,) = lab.session.measure([{"a": 10, "f": 1.0}])
-    assert {outcome.status for outcome in found.outcomes} == {"failed"}
-    assert "objective lift of cell.force_x is nan" in found.outcomes[0].reason
+    (result,) = lab.session.measure([{"a": 10, "f": 1.0}])
+    assert {outcome.status for outcome in result.outcomes} == {"failed"}
+    assert "objective lift of cell.force_x is nan" in result.outcomes[0].reason
     with pytest.raises(ExperimentError, match="no accepted trial of a = 10, f = 1: objective lift"):
-        found.mean("lift")
-    assert len(lab.folder.outcomes()) == len(found.outcomes)
+        result.mean("lift")
+    assert len(lab.folder.outcomes()) == len(result.outcomes)
 
 
 def test_the_limit_on_new_trials_ends_the_session_resumably(lab):
@@ -166,8 +166,8 @@ def test_progress_hears_of_every_trial_and_of_what_happens_now(lab):
 def test_without_a_gait_sensors_are_recorded_and_nothing_is_driven(lab):
     still = {"gait": None, "trial__cycles": None, "trial__discard_cycles": None, "trial__duration_s": 2}
     lab = lab(**still, trial__safe_pose_deg=None, rig__devices__cell__noise_n=0.0)
-    (found,) = lab.session.measure([{"a": 1.0}])
-    assert found.values("thrust") == pytest.approx([0.0, 0.0], abs=1e-6)  # the standing force is tared away
+    (result,) = lab.session.measure([{"a": 1.0}])
+    assert result.values("thrust") == pytest.approx([0.0, 0.0], abs=1e-6)  # the standing force is tared away
     with open_run(lab.folder.path) as run:
         assert run.command(0).columns == ()
         assert len(run.signals(0)["cell"].time_s) > 100

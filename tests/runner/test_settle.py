@@ -29,9 +29,9 @@ def settle_time(force, *, below, noise_n, seed=0, timeout_s=120.0, poll_s=0.1, h
 @given(noise_n=st.floats(0.0, 0.5), offset=st.floats(-50, 50), seed=st.integers(0, 2**20))
 @settings(max_examples=40, deadline=None)
 def test_noise_alone_however_strong_counts_as_rest(noise_n, offset, seed):
-    found = settle_time(lambda t: offset + 0 * t, below=0.02, noise_n=noise_n, seed=seed, timeout_s=60)
-    assert found is not None
-    assert found >= 2 * HOLD_S - 1e-9
+    time = settle_time(lambda t: offset + 0 * t, below=0.02, noise_n=noise_n, seed=seed, timeout_s=60)
+    assert time is not None
+    assert time >= 2 * HOLD_S - 1e-9
 
 
 @given(
@@ -51,14 +51,14 @@ def test_a_dying_wave_is_waited_for_until_little_of_it_is_left(
     def wave(t):
         return amplitude_n * np.exp(-t / decay_s) * np.cos(2 * np.pi * frequency_hz * t + phase)
 
-    found = settle_time(wave, below=below, noise_n=noise_n, seed=seed)
-    assert found is not None
-    left_n = amplitude_n * np.exp(-(found - HOLD_S) / decay_s)
+    time = settle_time(wave, below=below, noise_n=noise_n, seed=seed)
+    assert time is not None
+    left_n = amplitude_n * np.exp(-(time - HOLD_S) / decay_s)
     # What a window cannot resolve beyond its noise, it cannot see: 200 samples of this noise.
     assert left_n < 5 * (below + 0.5 * noise_n)
     # And it does not wait for ever either.
     quiet_s = decay_s * np.log(amplitude_n / (0.25 * below))
-    assert found < quiet_s + 4 * HOLD_S + 2.0
+    assert time < quiet_s + 4 * HOLD_S + 2.0
 
 
 @given(phase=st.floats(0, 2 * np.pi), frequency_hz=st.floats(0.1, 1.0), seed=st.integers(0, 2**20))
@@ -66,14 +66,14 @@ def test_a_dying_wave_is_waited_for_until_little_of_it_is_left(
 def test_a_steady_wave_not_far_above_the_noise_of_single_samples_is_never_taken_for_rest(
     phase, frequency_hz, seed
 ):
-    found = settle_time(
+    time = settle_time(
         lambda t: 0.2 * np.cos(2 * np.pi * frequency_hz * t + phase),
         below=0.02,
         noise_n=0.1,
         seed=seed,
         timeout_s=40,
     )
-    assert found is None
+    assert time is None
 
 
 def test_a_slow_ramp_is_drift():
@@ -84,13 +84,13 @@ def test_one_wild_sample_does_not_restart_settling():
     def glitch(t):
         return np.where(np.abs(t - 3.0) < 0.004, 20.0, 0.0)
 
-    found = settle_time(glitch, below=0.02, noise_n=0.01)
-    assert found == pytest.approx(2 * HOLD_S, abs=0.5)
+    time = settle_time(glitch, below=0.02, noise_n=0.01)
+    assert time == pytest.approx(2 * HOLD_S, abs=0.5)
 
 
 def test_a_step_in_the_force_does_restart_settling():
-    found = settle_time(lambda t: np.where(t > 3.0, 1.0, 0.0), below=0.02, noise_n=0.01)
-    assert found > 3.0 + 2 * HOLD_S - 0.3
+    time = settle_time(lambda t: np.where(t > 3.0, 1.0, 0.0), below=0.02, noise_n=0.01)
+    assert time > 3.0 + 2 * HOLD_S - 0.3
 
 
 @given(st.floats(0.05, 5.0), st.floats(0.5, 4.0))
@@ -98,9 +98,9 @@ def test_a_step_in_the_force_does_restart_settling():
 def test_without_noise_spread_and_drift_are_those_of_the_signal(slope, length_s):
     times = np.arange(int(length_s * 200)) / 200.0
     assume(len(times) >= 40)
-    found = stillness(times, (slope * times)[:, None])
-    assert found.drift[0] == pytest.approx(slope * length_s, rel=0.05)
-    assert found.spread[0] == pytest.approx(slope * length_s / np.sqrt(12), rel=0.15)
+    result = stillness(times, (slope * times)[:, None])
+    assert result.drift[0] == pytest.approx(slope * length_s, rel=0.05)
+    assert result.spread[0] == pytest.approx(slope * length_s / np.sqrt(12), rel=0.15)
 
 
 def test_too_few_samples_give_no_judgement():
@@ -124,8 +124,8 @@ def test_a_bench_that_never_rests_is_gone_on_with_after_the_cap_and_the_reason_i
         trial__settle__timeout_s=8,
         trial__repeats=2,
     )
-    (found,) = lab.session.measure([{"a": 10, "f": 1.0}])
-    second = found.outcomes[1]
+    (result,) = lab.session.measure([{"a": 10, "f": 1.0}])
+    second = result.outcomes[1]
     assert second.status == "done"
     assert second.settle.reason == "timeout"
     assert second.settle.duration_s == pytest.approx(8.0)
@@ -151,15 +151,15 @@ def test_a_dying_echo_is_waited_for(lab):
 
 
 def test_an_echoing_bench_takes_longer_to_settle_than_a_quiet_one(lab):
-    found = lab(rig__scene={"plugin": "pond:Pond", "echo_n": 2.0}).session.measure([{"a": 20, "f": 1.0}])
-    assert found[0].outcomes[1].settle.reason == "quiet"
-    assert found[0].outcomes[1].settle.duration_s > 4.0
+    result = lab(rig__scene={"plugin": "pond:Pond", "echo_n": 2.0}).session.measure([{"a": 20, "f": 1.0}])
+    assert result[0].outcomes[1].settle.reason == "quiet"
+    assert result[0].outcomes[1].settle.duration_s > 4.0
 
 
 def test_without_a_bound_the_benchs_own_baseline_is_the_bound_and_is_journalled(lab):
     lab = lab(trial__settle__below=None, rig__devices__cell__noise_n=0.1)
-    found = lab.session.measure([{"a": 10, "f": 1.0}])
+    result = lab.session.measure([{"a": 10, "f": 1.0}])
     events = [event for event in lab.folder.journal.events() if event["event"] == "baseline"]
     assert len(events) == 1
-    assert found[0].outcomes[0].settle.bound == pytest.approx(1.5 * events[0]["spread"][0])
-    assert found[0].outcomes[0].settle.reason == "quiet"
+    assert result[0].outcomes[0].settle.bound == pytest.approx(1.5 * events[0]["spread"][0])
+    assert result[0].outcomes[0].settle.reason == "quiet"

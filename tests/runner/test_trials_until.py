@@ -59,9 +59,9 @@ def test_it_ends_with_the_first_cycle_for_which_the_condition_holds(tiring):
 
 def test_reaching_the_most_cycles_is_censored(tiring):
     lab = tiring(rig__scene__tires_s=None)
-    (found,) = lab.session.measure(CONDITION)
-    assert found.outcomes[0].censored
-    assert found.mean("cycles") == 60
+    (result,) = lab.session.measure(CONDITION)
+    assert result.outcomes[0].censored
+    assert result.mean("cycles") == 60
     assert "cycle 60 of at most 60" in lab.said
 
 

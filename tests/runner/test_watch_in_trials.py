@@ -44,8 +44,8 @@ def test_a_joint_that_moves_faster_than_its_limit_is_stopped_by_its_measured_spe
 def test_a_joint_within_its_speed_is_let_be(lab):
     lab = lab(trial__repeats=1, rig__devices__tail__limits={"speed_deg_s": 70.0})
     lab.clock.poll_s = 0.02
-    (found,) = lab.session.measure(ONE)
-    assert found.accepted
+    (result,) = lab.session.measure(ONE)
+    assert result.accepted
 
 
 def test_a_driver_that_cannot_say_what_it_is_is_named(lab):

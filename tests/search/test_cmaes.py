@@ -180,8 +180,8 @@ def test_the_unit_of_an_objective_does_not_change_the_search(tmp_path, unit):
     experiment = search_experiment(box("ab"), stop={"iterations": 25})
     search(experiment, AnalyticBench(hill), tmp_path / "one")
     search(experiment, AnalyticBench(lambda c: unit * hill(c)), tmp_path / "other")
-    one, other = read_generations(tmp_path / "one"), read_generations(tmp_path / "other")
-    assert [state["mean"] for state in one] == [state["mean"] for state in other]
+    first, other = read_generations(tmp_path / "one"), read_generations(tmp_path / "other")
+    assert [state["mean"] for state in first] == [state["mean"] for state in other]
 
 
 def test_a_limit_of_fewer_trials_than_a_generation_is_told_as_the_reason(tmp_path):

@@ -33,9 +33,9 @@ def whole(each, dry_run):
 
 def test_what_is_shown_of_the_run_later_tells_how_its_searches_ended(whole):
     text = io.StringIO()
-    with opened(whole.run) as found:
-        print_findings(found, Console(file=text, width=400))
-        shown = found.to_json()
+    with opened(whole.run) as result:
+        print_findings(result, Console(file=text, width=400))
+        shown = result.to_json()
     for line in whole.search_lines():
         assert line in text.getvalue()
     assert len(shown["search"]) == len(shown["winners"]) == 2

@@ -92,12 +92,16 @@ def test_a_run_is_fitted_as_soon_as_it_is_finished_where_the_file_asks_for_it(wr
 
 
 def test_the_bench_is_let_go_before_the_run_is_fitted(write, dry_run, monkeypatch):
-    told = []
+    messages = []
     close = Rig.__exit__
-    monkeypatch.setattr(Rig, "__exit__", lambda rig, *error: (told.append("let go"), close(rig, *error))[1])
-    monkeypatch.setattr("labrun.app.fit.find_data", lambda *asked: (told.append("fit"), find_data(*asked))[1])
+    monkeypatch.setattr(
+        Rig, "__exit__", lambda rig, *error: (messages.append("let go"), close(rig, *error))[1]
+    )
+    monkeypatch.setattr(
+        "labrun.app.fit.find_data", lambda *asked: (messages.append("fit"), find_data(*asked))[1]
+    )
     dry_run(write("sweep", FIT.format("true")))
-    assert told == ["let go", "fit"]
+    assert messages == ["let go", "fit"]
 
 
 def test_ctrl_c_while_it_is_fitted_says_that_the_run_is_kept(write, dry_run, monkeypatch):
@@ -114,7 +118,7 @@ def test_a_fit_that_fails_leaves_the_finished_run(write, dry_run, recorder):
     path = write("sweep", FIT.format("true").replace("gait.a", "gait.nothing"))
     result = dry_run(path, progress=recorder)
     assert result.finished
-    assert any("the run is kept, and could not be fitted" in one for one in recorder.notes)
+    assert any("the run is kept, and could not be fitted" in note for note in recorder.notes)
 
 
 @pytest.mark.parametrize(("kind", "limit"), [("sweep", 5), ("cmaes", 9), ("cmaes", 30)])

@@ -9,9 +9,9 @@ from labrun.store import TrialOutcome
 
 
 def best_of(bench, count, goal="maximise", leaders=None):
-    found = bench.measure([{"k": float(k)} for k in range(count)])
+    result = bench.measure([{"k": float(k)} for k in range(count)])
     return honest_best(
-        bench, found, objective="thrust", goal=goal, unit="N", leaders=leaders or Leaders(count=5, repeats=5)
+        bench, result, objective="thrust", goal=goal, unit="N", leaders=leaders or Leaders(count=5, repeats=5)
     )
 
 
@@ -57,8 +57,8 @@ def measured(condition, values, status="done"):
     return Measurement(condition, "measure", tuple(outcomes))
 
 
-def leading(found, goal, count=None):
-    values = ((one.condition, one.values("thrust"), one.truncation("thrust")) for one in found)
+def leading(result, goal, count=None):
+    values = ((entry.condition, entry.values("thrust"), entry.truncation("thrust")) for entry in result)
     return leading_conditions(values, goal, count)
 
 
@@ -67,28 +67,28 @@ def test_what_a_cut_may_have_added_makes_nothing_lead():
         1, {"k": 1.0}, 1, status="done", objectives={"thrust": 0.30}, truncation={"thrust": 0.1}
     )
     whole = TrialOutcome(2, {"k": 2.0}, 2, status="done", objectives={"thrust": 0.25})
-    found = [Measurement(one.condition, "measure", (one,)) for one in (flattered, whole)]
-    assert [one["k"] for one in leading(found, "maximise")] == [2.0, 1.0]
-    assert [one["k"] for one in leading(found, "minimise")] == [2.0, 1.0]
+    measurements = [Measurement(outcome.condition, "measure", (outcome,)) for outcome in (flattered, whole)]
+    assert [entry["k"] for entry in leading(measurements, "maximise")] == [2.0, 1.0]
+    assert [entry["k"] for entry in leading(measurements, "minimise")] == [2.0, 1.0]
 
 
 def test_a_condition_measured_once_does_not_lead_by_luck():
     rng = np.random.default_rng(0)
-    found = [measured({"k": float(k)}, rng.normal(k, 2.0, 10)) for k in range(6)]
+    results = [measured({"k": float(k)}, rng.normal(k, 2.0, 10)) for k in range(6)]
     lucky = measured({"k": 99.0}, [6.0])
-    best = max(m.mean("thrust") for m in found)
+    best = max(m.mean("thrust") for m in results)
     assert lucky.mean("thrust") > best
-    assert leading([*found, lucky], "maximise", 1) != [{"k": 99.0}]
+    assert leading([*results, lucky], "maximise", 1) != [{"k": 99.0}]
 
 
 def test_measurements_of_one_condition_are_pooled_and_it_leads_once():
-    found = [measured({"k": 1.0}, [3.0, 3.2]), measured({"k": 2.0}, [1.0]), measured({"k": 1.0}, [2.9])]
-    assert leading(found, "maximise", 5) == [{"k": 1.0}, {"k": 2.0}]
+    results = [measured({"k": 1.0}, [3.0, 3.2]), measured({"k": 2.0}, [1.0]), measured({"k": 1.0}, [2.9])]
+    assert leading(results, "maximise", 5) == [{"k": 1.0}, {"k": 2.0}]
 
 
 def test_without_an_accepted_trial_there_is_no_best():
-    found = [measured({"k": 1.0}, [3.0], status="rejected")]
+    results = [measured({"k": 1.0}, [3.0], status="rejected")]
     bench = AnalyticBench(lambda c: 0.0)
     rule = Leaders(count=2, repeats=2)
-    assert honest_best(bench, found, objective="thrust", goal="maximise", unit="N", leaders=rule) is None
+    assert honest_best(bench, results, objective="thrust", goal="maximise", unit="N", leaders=rule) is None
     assert bench.ran == 0

@@ -45,9 +45,9 @@ def test_the_scatter_of_either_kind_is_found_with_unequal_numbers():
         values, mountings = mounted(rng, mountings=4, repeats=5, between=0.3, within=0.1)
         keep = rng.random(len(values)) < 0.8
         samples.append((values[keep], [m for m, kept in zip(mountings, keep, strict=True) if kept]))
-    found = scatter(samples)
-    assert found.within == pytest.approx(0.1, rel=0.05)
-    assert found.between == pytest.approx(0.3, rel=0.06)
+    result = scatter(samples)
+    assert result.within == pytest.approx(0.1, rel=0.05)
+    assert result.between == pytest.approx(0.3, rel=0.06)
 
 
 def test_mountings_that_differ_no_more_than_their_trials_add_nothing():

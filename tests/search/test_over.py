@@ -35,17 +35,17 @@ def measures(truth, combine, goal="maximise", noise=0.0):
     ],
 )
 def test_values_at_all_settings_become_one(combine, goal, value):
-    (found,) = measures(lambda c: c["k"] * c["v"], combine, goal).measure([{"k": 1.0}])
-    assert found.condition == {"k": 1.0}
-    assert found.values("thrust") == pytest.approx([value, value])
-    assert len(found.outcomes) == 4
+    (result,) = measures(lambda c: c["k"] * c["v"], combine, goal).measure([{"k": 1.0}])
+    assert result.condition == {"k": 1.0}
+    assert result.values("thrust") == pytest.approx([value, value])
+    assert len(result.outcomes) == 4
 
 
 def test_the_leader_is_the_best_over_all_settings_and_not_at_one():
     session = measures(lambda c: 10.0 if c["k"] == 1 and c["v"] == 1 else c["k"], "worst")
-    found = session.measure([{"k": 1.0}, {"k": 2.0}])
+    result = session.measure([{"k": 1.0}, {"k": 2.0}])
     best = honest_best(
-        session, found, objective="thrust", goal="maximise", unit="N", leaders=Leaders(count=2, repeats=3)
+        session, result, objective="thrust", goal="maximise", unit="N", leaders=Leaders(count=2, repeats=3)
     )
     assert best.parameters == {"k": 2.0}
     assert best.value == 2.0
@@ -59,9 +59,14 @@ def test_the_interval_of_a_sum_covers_the_sum():
             lambda c: c["k"] * c["v"], noise=0.5, seed=seed, repeats=RepeatRule(min=5, max=5)
         )
         session = OverSettings(bench, SETTINGS, "sum", "maximise")
-        found = session.measure([{"k": 2.0}])
+        result = session.measure([{"k": 2.0}])
         best = honest_best(
-            session, found, objective="thrust", goal="maximise", unit="N", leaders=Leaders(count=1, repeats=5)
+            session,
+            result,
+            objective="thrust",
+            goal="maximise",
+            unit="N",
+            leaders=Leaders(count=1, repeats=5),
         )
         covered += best.ci95[0] <= 8.0 <= best.ci95[1]
     assert covered / 300 == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 300))

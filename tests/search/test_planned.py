@@ -51,14 +51,14 @@ def test_the_thrust_sweep_keeps_its_best_point_which_lies_on_two_constraints():
         "a": {"from": 10, "to": 60, "step": 5},
         "f": {"from": 0.2, "to": 3, "step": 0.2},
     }
-    found = grid(axes, where=["a + abs(b) <= 60", "a * f <= 84"])
-    assert {"b": 0.0, "a": 60.0, "f": 1.4} in found
-    assert all(c["a"] + abs(c["b"]) <= 60 and c["a"] * c["f"] <= 84 + 1e-9 for c in found)
+    result = grid(axes, where=["a + abs(b) <= 60", "a * f <= 84"])
+    assert {"b": 0.0, "a": 60.0, "f": 1.4} in result
+    assert all(c["a"] + abs(c["b"]) <= 60 and c["a"] * c["f"] <= 84 + 1e-9 for c in result)
 
 
 def test_words_are_values_of_an_axis_and_can_be_constrained():
-    found = grid({"fin": ["soft", "stiff"], "f": [1, 2]}, where=['fin == "soft" or f < 2'])
-    assert found == [{"fin": "soft", "f": 1.0}, {"fin": "soft", "f": 2.0}, {"fin": "stiff", "f": 1.0}]
+    result = grid({"fin": ["soft", "stiff"], "f": [1, 2]}, where=['fin == "soft" or f < 2'])
+    assert result == [{"fin": "soft", "f": 1.0}, {"fin": "soft", "f": 2.0}, {"fin": "stiff", "f": 1.0}]
 
 
 def test_constraints_that_leave_nothing_name_the_one_that_removes_most():
@@ -77,11 +77,11 @@ def test_a_sampled_design_fills_its_feasible_region_with_as_many_points_as_asked
             "where": ["a + b <= 1"],
         }
     )
-    found = sweep_conditions(sweep, seed=3)
-    assert len(found) == 100
-    assert all(0 <= c["a"] <= 2 and -1 <= c["b"] <= 1 and c["a"] + c["b"] <= 1 for c in found)
-    assert found == sweep_conditions(sweep, seed=3)
-    assert found != sweep_conditions(sweep, seed=4)
+    conditions = sweep_conditions(sweep, seed=3)
+    assert len(conditions) == 100
+    assert all(0 <= c["a"] <= 2 and -1 <= c["b"] <= 1 and c["a"] + c["b"] <= 1 for c in conditions)
+    assert conditions == sweep_conditions(sweep, seed=3)
+    assert conditions != sweep_conditions(sweep, seed=4)
 
 
 def test_a_sobol_design_is_more_even_than_a_random_one():

@@ -17,53 +17,53 @@ def trials(means, sd=0.0, count=3, seed=1):
 
 
 def test_the_same_order_of_eight_has_the_least_p_that_eight_can_have():
-    found = agreement(trials(range(8)), trials(np.arange(8) ** 2.0), RNG)
-    assert found.tau == pytest.approx(1.0)
-    assert found.spearman == pytest.approx(1.0)
-    assert found.exact
-    assert found.tau_p == pytest.approx(2 / 40320)
-    assert found.carries_over
-    assert found.ties == 0
+    result = agreement(trials(range(8)), trials(np.arange(8) ** 2.0), RNG)
+    assert result.tau == pytest.approx(1.0)
+    assert result.spearman == pytest.approx(1.0)
+    assert result.exact
+    assert result.tau_p == pytest.approx(2 / 40320)
+    assert result.carries_over
+    assert result.ties == 0
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_tau_rho_and_the_exact_p_are_scipys_own(seed):
     rng = np.random.default_rng(seed)
     x, y = rng.standard_normal(6), rng.standard_normal(6)
-    found = agreement(trials(x), trials(y), RNG)
+    result = agreement(trials(x), trials(y), RNG)
     kendall = stats.kendalltau(x, y, method="exact")
-    assert found.tau == pytest.approx(kendall.statistic)
-    assert found.tau_p == pytest.approx(kendall.pvalue)
+    assert result.tau == pytest.approx(kendall.statistic)
+    assert result.tau_p == pytest.approx(kendall.pvalue)
     rho = stats.spearmanr(x, y).statistic
-    assert found.spearman == pytest.approx(rho)
+    assert result.spearman == pytest.approx(rho)
     every = [stats.spearmanr(x, np.array(order)).statistic for order in itertools.permutations(y)]
     one_side = min(np.mean(np.array(every) >= rho - 1e-12), np.mean(np.array(every) <= rho + 1e-12))
-    assert found.spearman_p == pytest.approx(min(1.0, 2 * one_side))
+    assert result.spearman_p == pytest.approx(min(1.0, 2 * one_side))
 
 
 def test_ties_are_counted_and_lower_tau_as_tau_b_says():
     x, y = np.array([1.0, 1.0, 2.0, 3.0, 4.0]), np.array([1.0, 2.0, 3.0, 4.0, 4.0])
-    found = agreement(trials(x), trials(y), RNG)
-    assert found.ties == 2
-    assert found.tau == pytest.approx(stats.kendalltau(x, y).statistic)
+    result = agreement(trials(x), trials(y), RNG)
+    assert result.ties == 2
+    assert result.tau == pytest.approx(stats.kendalltau(x, y).statistic)
 
 
 def test_noise_on_one_side_does_not_carry_over():
-    found = agreement(trials([3, 1, 2, 5, 4, 7, 6, 8]), trials([5, 2, 8, 1, 3, 4, 7, 6], sd=2.0), RNG)
-    assert not found.carries_over
-    assert found.tau_ci95[0] < found.tau < found.tau_ci95[1]
+    result = agreement(trials([3, 1, 2, 5, 4, 7, 6, 8]), trials([5, 2, 8, 1, 3, 4, 7, 6], sd=2.0), RNG)
+    assert not result.carries_over
+    assert result.tau_ci95[0] < result.tau < result.tau_ci95[1]
 
 
-@pytest.mark.parametrize("one", [[1, 2], [1, 1, 1, 1], []])
-def test_too_few_or_all_alike_have_no_order(one):
-    assert agreement(trials(one), trials(range(len(one))), RNG) is None
+@pytest.mark.parametrize("entry", [[1, 2], [1, 1, 1, 1], []])
+def test_too_few_or_all_alike_have_no_order(entry):
+    assert agreement(trials(entry), trials(range(len(entry))), RNG) is None
 
 
 def test_candidates_of_one_water_are_judged_by_one_scatter_and_a_lucky_one_is_not_sure():
     lucky = np.array([10.0, 10.0, 10.1])
     samples = [lucky, np.array([9.0, 11.0, 13.0]), np.array([8.0, 12.0, 10.0]), np.array([7.0])]
     intervals = pooled_intervals(samples, [0.0, 0.0, 0.5, 0.0])
-    freedom, variance = 6, sum(((one - one.mean()) ** 2).sum() for one in samples) / 6
+    freedom, variance = 6, sum(((sample - sample.mean()) ** 2).sum() for sample in samples) / 6
     half = stats.t.ppf(0.975, freedom) * np.sqrt(variance / 3)
     assert intervals[0] == pytest.approx((lucky.mean() - half, lucky.mean() + half))
     assert intervals[2] == pytest.approx((10.0 - half - 0.5, 10.0 + half + 0.5))

@@ -23,12 +23,12 @@ def verdict(spreads, *, budget_spent=True, is_constant=False, goal=None):
 
 
 def test_a_spent_budget_tells_what_it_would_still_take_at_the_pace_so_far():
-    found = verdict(SHRINKING)
+    result = verdict(SHRINKING)
     expected = np.log(0.02 / SHRINKING[-1]) / np.log(0.9)
-    assert found.ending == "budget spent"
-    assert found.further_generations == int(np.ceil(expected))
-    assert found.further_trials == 20 * found.further_generations
-    assert "not converged" in found.text
+    assert result.ending == "budget spent"
+    assert result.further_generations == int(np.ceil(expected))
+    assert result.further_trials == 20 * result.further_generations
+    assert "not converged" in result.text
 
 
 def test_one_generation_more_is_one():
@@ -38,9 +38,9 @@ def test_one_generation_more_is_one():
 
 @pytest.mark.parametrize("spreads", [[0.3] * 12, [0.3, 0.2, 0.1], [0.3 * 1.05**n for n in range(12)], []])
 def test_candidates_that_do_not_draw_together_give_no_number(spreads):
-    found = verdict(spreads)
-    assert found.further_generations is None
-    assert "nobody can say" in found.text
+    result = verdict(spreads)
+    assert result.further_generations is None
+    assert "nobody can say" in result.text
 
 
 def test_a_narrow_spread_is_converged_whatever_ended_the_search():
@@ -50,18 +50,18 @@ def test_a_narrow_spread_is_converged_whatever_ended_the_search():
 
 
 def test_no_progress_at_a_wide_spread_is_stagnation():
-    found = verdict(SHRINKING, budget_spent=False)
-    assert found.ending == "stagnated"
-    assert "noise" in found.text
+    result = verdict(SHRINKING, budget_spent=False)
+    assert result.ending == "stagnated"
+    assert "noise" in result.text
 
 
 def test_a_verdict_comes_back_from_its_record():
-    found = verdict(SHRINKING)
-    assert Verdict.from_record(found.to_record()) == found
+    result = verdict(SHRINKING)
+    assert Verdict.from_record(result.to_record()) == result
 
 
 def test_an_objective_that_never_changes_does_not_depend_on_the_parameters():
-    found = verdict(SHRINKING, budget_spent=False, is_constant=True)
-    assert found.ending == "constant"
-    assert "does not depend on the parameters" in found.text
-    assert "noise" not in found.text
+    result = verdict(SHRINKING, budget_spent=False, is_constant=True)
+    assert result.ending == "constant"
+    assert "does not depend on the parameters" in result.text
+    assert "noise" not in result.text

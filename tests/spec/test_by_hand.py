@@ -92,5 +92,5 @@ def test_conditions_that_are_no_list_are_one_mistake(conditions, complaint):
     given = FILE.replace(sweep, "").replace('kind = "sweep"', f'kind = "run"\nrun.conditions = {conditions}')
     with pytest.raises(SpecError) as error:
         loads_experiment(given, "specimens")
-    (told,) = str(error.value).splitlines()
-    assert complaint in told
+    (message,) = str(error.value).splitlines()
+    assert complaint in message

@@ -11,10 +11,10 @@ def told(path):
 
 
 def test_a_table_shows_its_keys_with_default_and_unit():
-    found = told("trial.settle")
-    hold = found["trial.settle.hold_s"]
+    result = told("trial.settle")
+    hold = result["trial.settle.hold_s"]
     assert (hold.takes, hold.default, hold.unit) == ("number, above 0", "2", "s")
-    assert found["trial.settle.until"].default == '"quiet"'
+    assert result["trial.settle.until"].default == '"quiet"'
 
 
 def test_the_top_of_the_file_has_every_table():
@@ -34,10 +34,10 @@ def test_a_table_of_names_is_entered_by_any_name(path, default):
 
 
 def test_a_plugin_shows_its_own_keys_as_its_docstring_explains_them():
-    found = told("dynamixel")
-    assert "Set-points a second." in found["dynamixel.command_hz"].meaning
-    assert found["dynamixel.joints"].default == "must be given"
-    assert told("rig.devices.dynamixel").keys() == {f"rig.devices.{path}" for path in found}
+    result = told("dynamixel")
+    assert "Set-points a second." in result["dynamixel.command_hz"].meaning
+    assert result["dynamixel.joints"].default == "must be given"
+    assert told("rig.devices.dynamixel").keys() == {f"rig.devices.{path}" for path in result}
     assert "gait.joints.NAME.amplitude_deg" in told("gait.joints")
 
 

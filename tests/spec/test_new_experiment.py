@@ -36,7 +36,7 @@ def test_two_devices_of_a_kind_get_names_of_their_own(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "devices", "kind", "said"),
+    ("name", "devices", "kind", "message"),
     [
         ("a", ["dynamixl"], "run", "dynamixel"),
         ("a", ["optitrack"], "sweep", "actuator"),
@@ -47,10 +47,10 @@ def test_two_devices_of_a_kind_get_names_of_their_own(tmp_path):
         ("there", ["dynamixel"], "run", "there already"),
     ],
 )
-def test_what_cannot_be_written_is_told_and_nothing_is_written(tmp_path, name, devices, kind, said):
+def test_what_cannot_be_written_is_told_and_nothing_is_written(tmp_path, name, devices, kind, message):
     (tmp_path / "there.toml").write_text("kept")
     with pytest.raises(RequestError) as error:
         new_experiment(name, devices, kind, tmp_path)
-    assert said in str(error.value)
+    assert message in str(error.value)
     assert [path.name for path in Path(tmp_path).iterdir()] == ["there.toml"]
     assert (tmp_path / "there.toml").read_text() == "kept"

@@ -135,10 +135,10 @@ def test_a_bound_comes_with_its_unit_and_the_value_found(problems):
 
 
 def test_text_is_not_a_number_and_a_number_is_not_true(problems):
-    found = problems(
+    result = problems(
         ("cycles = 5", 'cycles = "5"'), ("force_n = 300", 'force_n = "300"'), ("from = 10", "from = true")
     )
-    assert {problem.key for problem in found} == {
+    assert {problem.key for problem in result} == {
         "trial.cycles",
         "rig.devices.wrench.limits.force_n",
         "sweep.axes.a.from",
@@ -146,7 +146,7 @@ def test_text_is_not_a_number_and_a_number_is_not_true(problems):
 
 
 def test_all_errors_are_told_at_once_in_the_order_of_their_lines(problems):
-    found = problems(
+    result = problems(
         ('"caudal-tank"', '"caudal-tnk"'),
         ("force_n = 300", "force_kn = 0.3"),
         ("joints.tail", "joints.tial"),
@@ -157,8 +157,8 @@ def test_all_errors_are_told_at_once_in_the_order_of_their_lines(problems):
         ("a * f <= 84", "a * g <= 84"),
         ('"cycle-mean"', '"cycle-men"'),
     )
-    assert [problem.line for problem in found] == sorted(problem.line for problem in found)
-    assert [problem.key for problem in found] == [
+    assert [problem.line for problem in result] == sorted(problem.line for problem in result)
+    assert [problem.key for problem in result] == [
         "rig.scene", "rig.devices.wrench.limits.force_kn", "gait.joints.tial", "trial.cycles", "trial.repeat",
         "sweep.axes.a.to", "sweep.axes.f", "sweep.where[0]", "objectives.thrust.plugin",
     ]  # fmt: skip
@@ -176,28 +176,28 @@ def test_a_missing_key_is_told_where_its_table_stands(problems):
 
 
 def test_conditions_of_a_run_have_the_same_names(problems):
-    found = problems(
+    result = problems(
         ('kind = "sweep"', 'kind = "run"'),
         (
             "[objectives.thrust]",
             "[run]\nconditions = [{ a = 1, f = 1 }, { a = 1, ff = 1 }]\n[objectives.thrust]",
         ),
     )
-    assert [problem.key for problem in found] == ["run.conditions[1].ff"]
+    assert [problem.key for problem in result] == ["run.conditions[1].ff"]
 
 
 def test_parts_of_let_that_need_each_other_are_refused(problems):
-    found = problems(('plugin = "sine"', 'plugin = "sine"\nlet = { p = "q + 1", q = "p" }'))
-    assert [problem.key for problem in found] == ["gait.let"]
-    assert "circle" in found[0].message
+    result = problems(('plugin = "sine"', 'plugin = "sine"\nlet = { p = "q + 1", q = "p" }'))
+    assert [problem.key for problem in result] == ["gait.let"]
+    assert "circle" in result[0].message
 
 
 def test_cycles_need_a_gait_that_has_them(problems):
-    found = problems(
+    result = problems(
         ('plugin = "sine"', 'plugin = "formula"'),
         ('amplitude_deg = "a", frequency_hz = "f"', 'angle_deg = "a * sin(f*t)"'),
     )
-    assert [problem.key for problem in found] == ["trial.cycles"]
+    assert [problem.key for problem in result] == ["trial.cycles"]
 
 
 def test_a_file_that_is_not_toml_says_where_it_stops_being_so(problems):
@@ -336,12 +336,12 @@ def test_a_unit_is_one_that_exists_and_that_the_gait_takes(problems, units, says
 
 
 def test_a_wrong_key_hides_neither_a_channel_nor_a_rule_over_other_keys_of_its_table(problems):
-    found = problems(
+    result = problems(
         ("repeats = 3", "retries = -1"),
         ("discard_cycles = 1", "discard_cycles = 5"),
         ('{ channel = "wrench.force_x", timeout_s = 60 }', '{ channel = "wrench.force_q", hold_s = -1 }'),
     )
-    assert {problem.key for problem in found} == {
+    assert {problem.key for problem in result} == {
         "trial.retries", "trial.discard_cycles", "trial.settle.channel", "trial.settle.hold_s",
     }  # fmt: skip
 
@@ -373,7 +373,7 @@ def test_nothing_to_choose_from_is_said_in_the_plural():
 
 
 @pytest.mark.parametrize(
-    ("joints", "column", "said"),
+    ("joints", "column", "message"),
     [
         ("jionts.tail = 5", 1, 'did you mean "joints"?'),
         ("joints = 5", 10, "expected a table { ... }"),
@@ -391,9 +391,11 @@ def test_nothing_to_choose_from_is_said_in_the_plural():
         ),
     ],
 )
-def test_joints_that_are_none_are_told_with_their_place(problems, joints, column, said):
-    found = problems(('joints.tail = { amplitude_deg = "a", frequency_hz = "f" }', joints))
-    assert any((item.line, item.column) == (19, column) and said in item.message for item in found), found
+def test_joints_that_are_none_are_told_with_their_place(problems, joints, column, message):
+    result = problems(('joints.tail = { amplitude_deg = "a", frequency_hz = "f" }', joints))
+    assert any((item.line, item.column) == (19, column) and message in item.message for item in result), (
+        result
+    )
 
 
 def test_a_plugin_may_stand_beside_the_experiment(write, tmp_path):
@@ -412,9 +414,9 @@ def test_without_the_table_of_its_kind_only_that_is_told(write):
         ("axes = { a = { from = 10, to = 60, step = 5 }, f = [0.5, 1.0, 1.5] }\n", ""),
         ('where = ["a * f <= 84"]\n', ""),
     )
-    with pytest.raises(SpecError) as told:
+    with pytest.raises(SpecError) as raises:
         load_experiment(path)
-    (problem,) = told.value.details["problems"]
+    (problem,) = raises.value.details["problems"]
     assert (problem["key"], problem["line"]) == ("kind", 2)
     assert "needs a table [sweep]" in problem["message"]
 

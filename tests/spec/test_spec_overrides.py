@@ -67,5 +67,5 @@ def test_what_an_override_gets_wrong_is_told_with_the_override_the_key_and_the_n
 
 
 def test_all_overrides_that_are_wrong_are_told_at_once(problems):
-    found = problems(("repeats = 3", "repeat = 3"), overrides=("trial.cycls=3", "sweep.axs=3"))
-    assert [problem.key for problem in found] == ["trial.cycls", "sweep.axs", "trial.repeat"]
+    result = problems(("repeats = 3", "repeat = 3"), overrides=("trial.cycls=3", "sweep.axs=3"))
+    assert [problem.key for problem in result] == ["trial.cycls", "sweep.axs", "trial.repeat"]

@@ -71,7 +71,7 @@ def test_a_file_with_two_loops_loads_and_its_resolved_text_is_equal(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "place", "said"),
+    ("old", "new", "index", "message"),
     [
         ('controller = "P"', 'controller = "PP"', "19:30", 'no loop has this controller; did you mean "P"'),
         ('controller = "P"', 'controller = "I"', "19:15", 'the loop force has no controller "I"'),
@@ -107,11 +107,11 @@ def test_a_file_with_two_loops_loads_and_its_resolved_text_is_equal(tmp_path):
         ("[rig.devices.wrench]", "[rig.devices.loop]", "9:2", "this name is reserved"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place_and_what_would_do(tmp_path, old, new, place, said):
+def test_what_is_wrong_is_said_with_its_place_and_what_would_do(tmp_path, old, new, index, message):
     with pytest.raises(SpecError) as caught:
         load(tmp_path, (old, new))
-    found = [str(LocatedFault(**problem)) for problem in caught.value.details["problems"]]
-    assert any(re.search(rf"wave\.toml:{place}: ", text) and said in text for text in found), found
+    strs = [str(LocatedFault(**problem)) for problem in caught.value.details["problems"]]
+    assert any(re.search(rf"wave\.toml:{index}: ", text) and message in text for text in strs), strs
 
 
 def test_several_mistakes_are_reported_at_once(tmp_path):

@@ -59,13 +59,13 @@ def test_the_table_has_a_row_a_trial_with_units(folder, tmp_path):
 
 
 def test_signals_of_one_trial_are_tared_and_say_so(folder):
-    one = labrun.open(folder.path).signals("wrench", trial=1)
-    np.testing.assert_array_equal(one.force_x, samples(1).values[:, 0] - 0.25)
-    np.testing.assert_array_equal(one.torque_z, samples(1).values[:, 1])
-    assert one.force_x.attrs == {"units": "N", "tare": 0.25, "tared": 1}
-    assert one.torque_z.attrs == {"units": "N m"}
-    assert list(one.indexes) == ["time_s"]
-    assert one.time_s.attrs["units"] == "s"
+    signals = labrun.open(folder.path).signals("wrench", trial=1)
+    np.testing.assert_array_equal(signals.force_x, samples(1).values[:, 0] - 0.25)
+    np.testing.assert_array_equal(signals.torque_z, samples(1).values[:, 1])
+    assert signals.force_x.attrs == {"units": "N", "tare": 0.25, "tared": 1}
+    assert signals.torque_z.attrs == {"units": "N m"}
+    assert list(signals.indexes) == ["time_s"]
+    assert signals.time_s.attrs["units"] == "s"
 
 
 def test_signals_come_as_measured_when_asked_for(folder):

@@ -78,12 +78,12 @@ def test_xarray_reads_all_samples_of_a_device_and_those_of_one_trial(packed):
         assert wrench["tare_force_x"].values.tolist() == [0.25] * 6
         expected = stored_runs.samples(3).values
         first, count = int(wrench["first_sample"][3]), int(wrench["sample_count"][3])
-        for one in (
+        for entry in (
             wrench.isel(sample=slice(first, first + count)),
             wrench.isel(sample=wrench["trial_index"] == 3),
         ):
-            np.testing.assert_array_equal(one["force_x"], expected[:, 0])
-            np.testing.assert_array_equal(one["torque_z"], expected[:, 1])
+            np.testing.assert_array_equal(entry["force_x"], expected[:, 0])
+            np.testing.assert_array_equal(entry["torque_z"], expected[:, 1])
         means = wrench["force_x"].groupby(wrench["trial_index"]).mean()
         np.testing.assert_allclose(means[3], expected[:, 0].mean())
     with xarray.open_dataset(packed.path / "run.h5", group="command", engine="h5netcdf") as command:
@@ -116,10 +116,10 @@ def test_the_netcdf_library_reads_the_whole_run(packed):
 
 def test_plain_h5py_reads_every_dataset_as_numbers_or_text(packed):
     with h5py.File(packed.path / "run.h5") as file:
-        found = []
-        file.visititems(lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
-        assert {item.dtype.kind for item in found} <= {"f", "i", "O"}
-        assert all(item[()] is not None for item in found)
+        results = []
+        file.visititems(lambda _, item: results.append(item) if isinstance(item, h5py.Dataset) else None)
+        assert {item.dtype.kind for item in results} <= {"f", "i", "O"}
+        assert all(item[()] is not None for item in results)
 
 
 def test_trials_may_differ_in_devices_and_channels(tmp_path):
@@ -127,14 +127,14 @@ def test_trials_may_differ_in_devices_and_channels(tmp_path):
     stored_runs.store(folder, 0)
     torque = (Channel("torque_z", "N m"),)
     volts = (Channel("torque_z", "V"), Channel("lost", "V"))
-    one = stored_runs.samples(2, 30)
+    samples = stored_runs.samples(2, 30)
     for index, channels in ((2, torque), (5, volts)):
         writer = folder.writer(index)
         writer.append(
             "wrench",
             channels,
             50.0,
-            Samples(one.device_time_s, one.host_time_s, one.values[:, : len(channels)]),
+            Samples(samples.device_time_s, samples.host_time_s, samples.values[:, : len(channels)]),
         )
         writer.finish(stored_runs.outcome(index, tare={}), None, None)
     writer = folder.writer(6)

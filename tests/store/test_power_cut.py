@@ -63,18 +63,18 @@ class Disk:
 
 @pytest.fixture
 def disk(monkeypatch):
-    found = Disk()
+    result = Disk()
 
     def watched(real):
         def call(descriptor):
             real(descriptor)
-            found.synced(descriptor)
+            result.synced(descriptor)
 
         return call
 
     monkeypatch.setattr(os, "fsync", watched(os.fsync))
     monkeypatch.setattr(writer_module, "SPILL_BYTES", 800_000)
-    return found
+    return result
 
 
 def assert_all_there(path: Path, stored: dict, counts: dict) -> None:
@@ -101,16 +101,16 @@ def test_every_acknowledged_trial_survives_a_power_cut(disk, tmp_path_factory, c
             for index in range(first, len(counts), sessions):
                 stored[index] = stored_runs.store(folder, index, counts[index])
                 known[index] = counts[index]
-                found = scratch / f"found{index}" / "fin" / folder.path.name
-                disk.after_power_cut(folder.path, found, fate)
-                assert_all_there(found, dict(sorted(stored.items())), known)
-        found = scratch / f"session{first}" / "fin" / folder.path.name
-        disk.after_power_cut(folder.path, found, fate)
-        assert_all_there(found, dict(sorted(stored.items())), known)
+                result = scratch / f"found{index}" / "fin" / folder.path.name
+                disk.after_power_cut(folder.path, result, fate)
+                assert_all_there(result, dict(sorted(stored.items())), known)
+        result = scratch / f"session{first}" / "fin" / folder.path.name
+        disk.after_power_cut(folder.path, result, fate)
+        assert_all_there(result, dict(sorted(stored.items())), known)
     folder.pack()
-    found = scratch / "packed" / "fin" / folder.path.name
-    disk.after_power_cut(folder.path, found, fate)
-    assert_all_there(found, dict(sorted(stored.items())), known)
+    result = scratch / "packed" / "fin" / folder.path.name
+    disk.after_power_cut(folder.path, result, fate)
+    assert_all_there(result, dict(sorted(stored.items())), known)
 
 
 @pytest.mark.parametrize("dry_run", [False, True])

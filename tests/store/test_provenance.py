@@ -8,13 +8,13 @@ from labrun.store.journal import collect, git_state
 
 
 def test_versions_machine_devices_and_seed_are_told_as_json(tmp_path):
-    told = json.loads(
+    loads = json.loads(
         json.dumps(collect(tmp_path, seed=5, devices={"wrench": Identity("FT 300", serial="S1")}))
     )
-    assert told["seed"] == 5
-    assert told["devices"]["wrench"]["serial"] == "S1"
-    assert {"python", "labrun", "numpy", "h5py"} <= set(told["versions"])
-    assert told["machine"]["processors"] >= 1
+    assert loads["seed"] == 5
+    assert loads["devices"]["wrench"]["serial"] == "S1"
+    assert {"python", "labrun", "numpy", "h5py"} <= set(loads["versions"])
+    assert loads["machine"]["processors"] >= 1
 
 
 def test_a_workspace_without_git_has_no_git_state(tmp_path, monkeypatch):

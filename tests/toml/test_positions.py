@@ -27,17 +27,17 @@ x = { ü = 1, after = 2 }
 
 
 def test_inline_tables_arrays_of_tables_dotted_and_quoted_keys_are_all_found():
-    found = locate(TEXT).keys
-    assert found["a",] == Position(1, 1)
-    assert found["b",] == Position(2, 1)
-    assert found["b", "c"] == Position(2, 3)
-    assert found["b", "c", "x", 1, "y"] == Position(2, 19)
-    assert found["b", "c", "q.r"] == Position(2, 29)
-    assert found["t", "u v", "k"] == Position(4, 1)
-    assert found["t", "u v", "k", 1, "z"] == Position(6, 7)
-    assert found["rows", 0, "v"] == Position(9, 1)
-    assert found["rows", 1, "v"] == Position(11, 1)
-    assert found["rows", 1, "sub", "w"] == Position(13, 1)
+    keys = locate(TEXT).keys
+    assert keys["a",] == Position(1, 1)
+    assert keys["b",] == Position(2, 1)
+    assert keys["b", "c"] == Position(2, 3)
+    assert keys["b", "c", "x", 1, "y"] == Position(2, 19)
+    assert keys["b", "c", "q.r"] == Position(2, 29)
+    assert keys["t", "u v", "k"] == Position(4, 1)
+    assert keys["t", "u v", "k", 1, "z"] == Position(6, 7)
+    assert keys["rows", 0, "v"] == Position(9, 1)
+    assert keys["rows", 1, "v"] == Position(11, 1)
+    assert keys["rows", 1, "sub", "w"] == Position(13, 1)
 
 
 def test_columns_count_characters_not_bytes():
@@ -75,10 +75,10 @@ def _paths(value, path=()):
 @given(_TREES)
 def test_every_key_that_tomllib_reads_has_a_place(tree):
     text = tomli_w.dumps(tree)
-    found = locate(text)
+    positions = locate(text)
     lines = text.split("\n")
     for path in _paths(tomllib.loads(text)):
-        position = found.keys[path]
+        position = positions.keys[path]
         assert 1 <= position.column <= len(lines[position.line - 1]) + 1
 
 
@@ -86,11 +86,11 @@ def test_every_key_that_tomllib_reads_has_a_place(tree):
 @given(_TREES)
 def test_the_bytes_of_every_value_read_as_that_value(tree):
     text = tomli_w.dumps(tree)
-    found = locate(text).spans
+    spans = locate(text).spans
     for path in _paths(tomllib.loads(text)):
-        if path not in found:  # a table with a header of its own
+        if path not in spans:  # a table with a header of its own
             continue
-        begin, end = found[path]
+        begin, end = spans[path]
         assert tomllib.loads(f"value = {text.encode()[begin:end].decode()}")["value"] == _at(tree, path)
 
 

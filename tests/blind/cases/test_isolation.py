@@ -38,7 +38,7 @@ def imported(path: Path) -> set[str]:
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            names |= {one.name.partition(".")[0] for one in node.names}
+            names |= {name.name.partition(".")[0] for name in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             names.add((node.module or "").partition(".")[0])
         elif isinstance(node, ast.ImportFrom) and node.level > len(path.relative_to(GENERATOR).parts):
@@ -73,11 +73,17 @@ def test_the_import_rules_name_every_part_of_labrun_that_the_generator_could_bor
     rules = tomllib.loads((package.parent / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
         "importlinter"
     ]
-    (rule,) = (one for one in rules["contracts"] if one.get("source_modules") == ["labrun.blind.cases"])
+    (rule,) = (
+        contract
+        for contract in rules["contracts"]
+        if contract.get("source_modules") == ["labrun.blind.cases"]
+    )
     parts = [
-        f"labrun.{one.stem}" for one in package.iterdir() if one.suffix in ("", ".py") and one.name != "blind"
+        f"labrun.{path.stem}"
+        for path in package.iterdir()
+        if path.suffix in ("", ".py") and path.name != "blind"
     ]
-    parts += [f"labrun.blind.{one.stem}" for one in GENERATOR.parent.glob("*.py")]
-    assert {one for one in parts if "__" not in one and "shipped" not in one} <= set(
+    parts += [f"labrun.blind.{path.stem}" for path in GENERATOR.parent.glob("*.py")]
+    assert {part for part in parts if "__" not in part and "shipped" not in part} <= set(
         rule["forbidden_modules"]
     )

@@ -38,7 +38,7 @@ def plain_measures(**changes):
 
 
 def test_a_spring_let_go_follows_the_damped_cosine() -> None:
-    plant = drawn(FreeDecay, lambda one: not one.pendulum and "damping" in one.truth)
+    plant = drawn(FreeDecay, lambda drawn_plant: not drawn_plant.pendulum and "damping" in drawn_plant.truth)
     p = plant.truth
     programme = released(plant, [0.4, -0.2])
     angle = adaptive(Bench(plant, programme, p))[0]
@@ -50,7 +50,7 @@ def test_a_spring_let_go_follows_the_damped_cosine() -> None:
 
 
 def test_a_pendulum_swings_with_the_period_of_the_elliptic_integral() -> None:
-    plant = drawn(FreeDecay, lambda one: one.pendulum and "damping" not in one.truth)
+    plant = drawn(FreeDecay, lambda drawn_plant: drawn_plant.pendulum and "damping" not in drawn_plant.truth)
     p = plant.truth
     programme = released(plant, [1.4])
     angle = adaptive(Bench(plant, programme, p))[0, :, 0]
@@ -62,7 +62,7 @@ def test_a_pendulum_swings_with_the_period_of_the_elliptic_integral() -> None:
 
 
 def test_an_undamped_pendulum_keeps_its_energy() -> None:
-    plant = drawn(FreeDecay, lambda one: one.pendulum and "damping" not in one.truth)
+    plant = drawn(FreeDecay, lambda drawn_plant: drawn_plant.pendulum and "damping" not in drawn_plant.truth)
     p = plant.truth
     bench = Bench(plant, released(plant, [1.2], length_s=6.0), p)
     angle = adaptive(bench)[0, :, 0]
@@ -74,7 +74,7 @@ def test_an_undamped_pendulum_keeps_its_energy() -> None:
 
 
 def test_a_body_that_coasts_slows_down_hyperbolically() -> None:
-    plant = drawn(Swimmer, lambda one: "drag" in one.truth and not one.tether)
+    plant = drawn(Swimmer, lambda drawn_plant: "drag" in drawn_plant.truth and not drawn_plant.tether)
     p = plant.truth
     time_s = np.arange(601) / 100
     bench = Bench(plant, Programme(time_s, [{}], np.zeros((1, 601, 1))), p, start=np.array([[0.0], [0.5]]))
@@ -83,7 +83,10 @@ def test_a_body_that_coasts_slows_down_hyperbolically() -> None:
 
 
 def test_a_stage_under_a_constant_force_reaches_its_terminal_speed() -> None:
-    plant = drawn(LinearStage, lambda one: "stiffness" not in one.truth and len(one.outputs) == 2)
+    plant = drawn(
+        LinearStage,
+        lambda drawn_plant: "stiffness" not in drawn_plant.truth and len(drawn_plant.outputs) == 2,
+    )
     p = plant.truth
     time_s = np.arange(1001) / 100
     bench = Bench(plant, Programme(time_s, [{}], np.full((1, 1001, 1), 2.0)), p)
@@ -97,7 +100,10 @@ def test_a_stage_under_a_constant_force_reaches_its_terminal_speed() -> None:
 )
 def test_what_is_hidden_is_integrated_as_scipy_does_with_tighter_tolerance(effect: str) -> None:
     plant = drawn(
-        HingeDrive, lambda one: one.inputs[0].between == "hold" and one.parameters[0].tolerance == 0.0
+        HingeDrive,
+        lambda drawn_plant: (
+            drawn_plant.inputs[0].between == "hold" and drawn_plant.parameters[0].tolerance == 0.0
+        ),
     )
     programme = plant.programme(np.random.default_rng(0), 2)
     programme.time_s, programme.inputs = programme.time_s[:100], programme.inputs[:, :100]
@@ -125,7 +131,10 @@ def test_what_is_hidden_is_integrated_as_scipy_does_with_tighter_tolerance(effec
 
 
 def test_a_delay_shifts_the_signal_by_just_so_much() -> None:
-    plant = drawn(LinearStage, lambda one: len(one.outputs) == 2 and one.inputs[0].between == "linear")
+    plant = drawn(
+        LinearStage,
+        lambda drawn_plant: len(drawn_plant.outputs) == 2 and drawn_plant.inputs[0].between == "linear",
+    )
     programme = plant.programme(np.random.default_rng(0), 2)
     delay = FORMS["output", "delay"]("speed_sensor", plain_measures(row=1), np.random.default_rng(0))
     shift = 5 * float(programme.time_s[1])
@@ -138,7 +147,11 @@ def test_a_delay_shifts_the_signal_by_just_so_much() -> None:
 def test_a_delay_of_the_input_delays_every_output_of_a_linear_bench() -> None:
     plant = drawn(
         LinearStage,
-        lambda one: "stiffness" in one.truth and len(one.outputs) == 2 and one.inputs[0].between == "hold",
+        lambda drawn_plant: (
+            "stiffness" in drawn_plant.truth
+            and len(drawn_plant.outputs) == 2
+            and drawn_plant.inputs[0].between == "hold"
+        ),
     )
     programme = plant.programme(np.random.default_rng(0), 2)
     delay = FORMS["input", "delay"]("force", plain_measures(), np.random.default_rng(0))
@@ -161,7 +174,9 @@ def test_a_held_input_jumps_at_its_samples_and_a_linear_one_does_not() -> None:
 
 
 def test_added_inertia_slows_a_spring_as_its_formula_says() -> None:
-    plant = drawn(FreeDecay, lambda one: not one.pendulum and "damping" not in one.truth)
+    plant = drawn(
+        FreeDecay, lambda drawn_plant: not drawn_plant.pendulum and "damping" not in drawn_plant.truth
+    )
     p = plant.truth
     measures = plain_measures(force=p["inertia"] * 30.0, q=1e6)  # a wide stroke: the inertia is even
     extra = FORMS["joint", "added-inertia"]("hinge", measures, np.random.default_rng(0))
@@ -176,7 +191,7 @@ def test_every_effect_vanishes_with_its_size_and_grows_with_it(key: tuple[str, s
     kind, _ = key
     for seed in range(400):
         plant = PLANTS[seed % len(PLANTS)](np.random.default_rng(seed))
-        fitting = [one for one in places(plant) if one[:2] == key]
+        fitting = [location for location in places(plant) if location[:2] == key]
         if fitting:
             break
     site = fitting[0][2]
@@ -199,11 +214,14 @@ def test_every_effect_vanishes_with_its_size_and_grows_with_it(key: tuple[str, s
 
 
 def test_recalibration_finds_the_truth_of_a_bare_bench() -> None:
-    plant = drawn(HingeDrive, lambda one: len(one.outputs) == 2)
+    plant = drawn(HingeDrive, lambda drawn_plant: len(drawn_plant.outputs) == 2)
     programme = plant.programme(np.random.default_rng(0), 4)
     truth = fixed(Bench(plant, programme, plant.truth))
     sd = 0.01 * np.std(truth, axis=(1, 2))
-    stated = {one.name: one.true * (1.2 if one.tolerance == "free" else 1.0) for one in plant.parameters}
+    stated = {
+        parameter.name: parameter.true * (1.2 if parameter.tolerance == "free" else 1.0)
+        for parameter in plant.parameters
+    }
     left = Recalibration(plant, programme, stated).run(truth, sd)
     assert size_of(left.raw, sd) > 1
     assert size_of(left.residual, sd) < 1e-2
@@ -212,7 +230,7 @@ def test_recalibration_finds_the_truth_of_a_bare_bench() -> None:
 
 
 def test_what_only_shifts_an_output_leaves_no_gap_where_every_trial_has_a_zero_of_its_own() -> None:
-    plant = drawn(HingeDrive, lambda one: len(one.outputs) == 2)
+    plant = drawn(HingeDrive, lambda drawn_plant: len(drawn_plant.outputs) == 2)
     programme = plant.programme(np.random.default_rng(0), 4)
     plain = fixed(Bench(plant, programme, plant.truth))
     sd = 0.01 * np.std(plain, axis=(1, 2))
@@ -237,9 +255,9 @@ def test_noise_has_the_standard_deviation_it_says(colour: str) -> None:
 
 def test_every_sixty_cases_have_the_mixture_that_is_told() -> None:
     for block in (0, 3):
-        kinds = [kind_of(5, 60 * block + place) for place in range(60)]
+        kinds = [kind_of(5, 60 * block + index) for index in range(60)]
         assert {kind: kinds.count(kind) for kind in DECK} == DECK
-    assert [kind_of(5, place) for place in range(60)] != [kind_of(6, place) for place in range(60)]
+    assert [kind_of(5, index) for index in range(60)] != [kind_of(6, index) for index in range(60)]
     assert DECK["control"] / 60 == pytest.approx(1 / 3)
     assert DECK["outside"] / 60 > 0.1
 

@@ -28,23 +28,25 @@ def test_labrun_reads_every_recording_and_every_model(made: tuple[Path, Done]) -
             recording = read_recording(path)
             model = parse_model((path / "model.toml").read_text(), str(path / "model.toml"))
             answer = json.loads((folder / "sealed" / f"{path.name}.json").read_text())
-            assert [one.name for one in recording.inputs] == [one.name for one in model.inputs]
-            assert [(one.name, one.unit) for one in recording.outputs] == [
-                (one.name, one.unit) for one in model.outputs
+            assert [signal.name for signal in recording.inputs] == [signal.name for signal in model.inputs]
+            assert [(output.name, output.unit) for output in recording.outputs] == [
+                (output.name, output.unit) for output in model.outputs
             ]
             conditions = answer["conditions"] if part == "cases" else 3
             repeats = answer["repeats"] if part == "cases" else 3
             assert len(recording.trials) == conditions * repeats
-            assert {one.name: one.value for one in model.parameters} == answer["stated_parameters"]
+            assert {parameter.name: parameter.value for parameter in model.parameters} == answer[
+                "stated_parameters"
+            ]
             assert model.notes == ()
 
 
 def test_fresh_conditions_are_not_among_the_recorded_ones(made: tuple[Path, Done]) -> None:
     folder, _ = made
     for path in sorted((folder / "cases").iterdir()):
-        recorded = [dict(one.condition) for one in read_recording(path).trials]
-        for one in read_recording(folder / "fresh" / path.name).trials:
-            assert dict(one.condition) not in recorded
+        recorded = [dict(trial.condition) for trial in read_recording(path).trials]
+        for trial in read_recording(folder / "fresh" / path.name).trials:
+            assert dict(trial.condition) not in recorded
 
 
 def test_causes_are_named_as_labrun_names_them() -> None:
@@ -61,8 +63,8 @@ def test_a_hidden_site_is_a_place_of_the_model(made: tuple[Path, Done]) -> None:
     folder, _ = made
     for path in sorted((folder / "sealed").glob("case-*.json")):
         model = parse_model((folder / "cases" / path.stem / "model.toml").read_text(), "model.toml")
-        for one in json.loads(path.read_text())["hidden"]:
-            model.place(one["site"], one["site_kind"])
+        for hidden in json.loads(path.read_text())["hidden"]:
+            model.place(hidden["site"], hidden["site_kind"])
 
 
 @pytest.mark.parametrize("kind", PLANTS, ids=lambda kind: kind.__name__)
@@ -82,7 +84,7 @@ def test_controls_are_controls_labrun_simulates_the_same_from_the_true_parameter
     write_model(plant, plant.truth, tmp_path / "model.toml")
     recording = read_recording(tmp_path)
     model = parse_model((tmp_path / "model.toml").read_text(), "model.toml")
-    model = model.with_between({one.name: one.between for one in recording.inputs})
+    model = model.with_between({signal.name: signal.between for signal in recording.inputs})
     noise = QUIETEST_SHARE * np.std(truth, axis=(1, 2))
     for index, trial in enumerate(recording.trials):
         start = plant.start(programme.conditions)[:, index]

@@ -70,21 +70,21 @@ def test_a_robot_hides_no_error_of_its_integrator(monkeypatch, effect):
     assert np.sqrt(np.mean((coarse - fine) ** 2)) < 0.2 * case.NOISE_RAD[0]
 
 
-@pytest.mark.parametrize("effect", [one for one in EFFECTS if one not in ("play", "delay")])
+@pytest.mark.parametrize("effect", [effect for effect in EFFECTS if effect not in ("play", "delay")])
 def test_what_is_hidden_changes_the_torque(effect):
     time_s = np.arange(0, 2, STEP_S)
     q, rate, goal = 0.3 * np.sin(6 * time_s), 1.8 * np.cos(6 * time_s), 0.4 * np.sin(6 * time_s + 0.3)
     size = {"elastic-transmission": 400.0, "torque-speed-limit": 2.0, "loop-delay": 0.01}.get(effect, 0.2)
     hidden = joint(effect, size)
     plain, planned = 40.0 * (goal - q) - 2.0 * rate, 5.0 * np.cos(q)
-    torque = [hidden.torque(*one) for one in zip(time_s, goal, q, rate, planned, strict=True)]
+    torque = [hidden.torque(*sample) for sample in zip(time_s, goal, q, rate, planned, strict=True)]
     assert np.sqrt(np.mean((torque - plain) ** 2)) > 0.02 * np.std(plain)
 
 
 def test_play_keeps_what_is_measured_half_its_width_behind():
     hidden = joint("play", 0.02)
     path = np.concatenate([np.linspace(0, 0.1, 50), np.linspace(0.1, -0.1, 100)])
-    measured = np.array([hidden.measured(float(one)) for one in path])
+    measured = np.array([hidden.measured(float(value)) for value in path])
     assert measured[49] == pytest.approx(0.09)
     assert measured[-1] == pytest.approx(-0.09)
 
@@ -102,11 +102,11 @@ def test_a_profile_takes_the_drive_to_its_goal_within_its_limits():
     hidden = joint("motion-profile", 0.4)
     ramp_s = hidden.shape["ramp_s"]
     torque = np.array([hidden.torque(0.0, 1.0 * (k > 0), 0.0, 0.0) for k in range(3000)])
-    place = torque / 40.0
-    assert np.max(np.diff(place)) <= 0.8 * STEP_S * (1 + 1e-9)
+    index = torque / 40.0
+    assert np.max(np.diff(index)) <= 0.8 * STEP_S * (1 + 1e-9)
     whole_s = 1.0 / 0.8 + ramp_s
-    assert place[1 + round(whole_s / STEP_S / 2)] == pytest.approx(0.5, abs=2e-3)
-    assert place[-1] == pytest.approx(1.0, abs=1e-6)
+    assert index[1 + round(whole_s / STEP_S / 2)] == pytest.approx(0.5, abs=2e-3)
+    assert index[-1] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_link_with_play_is_not_held_within_it():
@@ -136,19 +136,19 @@ def test_a_joint_is_judged_by_what_was_hidden_there():
         "case": "case-0001", "whole": {},
         "hidden": [{"joint": "a", "effect": "cogging", "gap": 5.0}, {"joint": "b", "effect": "drive-gain", "gap": 2.0}],
     }  # fmt: skip
-    said = {
+    message = {
         "a": [["stribeck-friction at a", "cogging at a"]],
         "b": [["b_kp at b_kp"]],
         "c": [["delay at c"]],
         "d": [],
     }
-    judged = {one.joint: one.right for one in _judged(answer, said, [])}
+    judged = {judged_joint.joint: judged_joint.right for judged_joint in _judged(answer, message, [])}
     assert judged == {"a": True, "b": True, "c": False, "d": True}
     tilted = {"case": "case-0002", "whole": {"gravity": [0, 0, -9.8]}, "hidden": []}
     whole: list[tuple[str, str, bool]] = []
     judged = {
-        one.joint: one.right
-        for one in _judged(tilted, {"a": [["gravity-tilt at base"]], "b": [["cogging at b"]]}, whole)
+        judged_joint.joint: judged_joint.right
+        for judged_joint in _judged(tilted, {"a": [["gravity-tilt at base"]], "b": [["cogging at b"]]}, whole)
     }
     assert judged == {"a": True, "b": False}
     assert whole == [("case-0002", "gravity-tilt", True)]

@@ -72,8 +72,8 @@ def test_one_kind_alone_is_made_of_cases_that_the_mixture_of_the_same_seed_does_
         kinds[only] = json.loads((folder / "sealed" / "case-0001.json").read_text())
     assert [answer["kind"] for answer in kinds.values()] == ["control", "effect"]
     mixed = json.loads((made[0] / "sealed" / "case-0001.json").read_text())
-    truths = [one["true_parameters"] for one in (mixed, *kinds.values())]
-    assert all(truths.count(one) == 1 for one in truths)
+    truths = [kind["true_parameters"] for kind in (mixed, *kinds.values())]
+    assert all(truths.count(truth) == 1 for truth in truths)
 
 
 def test_a_kind_that_the_mixture_does_not_have_is_refused(run_generator: Generate, tmp_path: Path) -> None:
@@ -144,4 +144,4 @@ def test_what_a_diagnosis_sees_does_not_tell_the_answer(made: Made) -> None:
             if cause["kind"] == "effect":
                 assert cause["effect"] not in seen
         assert "seed" not in seen
-        assert sorted({one.suffix for one in path.iterdir()}) == [".csv", ".toml"]
+        assert sorted({other.suffix for other in path.iterdir()}) == [".csv", ".toml"]

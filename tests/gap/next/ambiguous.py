@@ -37,10 +37,12 @@ class Bench:
         folder.mkdir()
         (folder / "model.toml").write_text(self.model)
         model = load_model(folder / "model.toml")
-        inputs, outputs = ([one.name for one in ports] for ports in (model.inputs, model.outputs))
+        inputs, outputs = ([port.name for port in ports] for ports in (model.inputs, model.outputs))
         text = ""
         for kind, ports in (("input", model.inputs), ("output", model.outputs)):
-            text += "".join(f'[channels.{one.name}]\nkind = "{kind}"\nunit = "{one.unit}"\n' for one in ports)
+            text += "".join(
+                f'[channels.{port.name}]\nkind = "{kind}"\nunit = "{port.unit}"\n' for port in ports
+            )
         rng = np.random.default_rng(3)
         time_s = np.arange(0.0, self.duration_s, 1 / RATE_HZ)
         for number, (condition, course) in enumerate(self.courses):
@@ -62,7 +64,7 @@ class Bench:
         if self.hidden is not None:
             effect, kind, site, values = self.hidden
             effects = [load_effect(effect, kind).attach(site, **values)]
-        found = simulate(
+        result = simulate(
             model,
             time_s,
             inputs,
@@ -71,8 +73,8 @@ class Bench:
             parameters=self.parameters,
             substeps=16,
         )
-        assert found.finite
-        return found.outputs + self.noise * rng.standard_normal(found.outputs.shape)
+        assert result.finite
+        return result.outputs + self.noise * rng.standard_normal(result.outputs.shape)
 
     def carry_out(self, proposal, folder: Path):
         """Return the recorded trials and those of the proposal, measured on this bench, as one dataset."""

@@ -142,7 +142,9 @@ QUICK = ("delay or lag", "friction that depends on the load, or not")
 
 @pytest.fixture(
     scope="module",
-    params=[pytest.param(one, marks=() if one in QUICK else pytest.mark.slow) for one in PAIRS],
+    params=[
+        pytest.param(pair_name, marks=() if pair_name in QUICK else pytest.mark.slow) for pair_name in PAIRS
+    ],
 )
 def proposed(request, tmp_path_factory):
     bench, truth, others = PAIRS[request.param]
@@ -157,9 +159,11 @@ def test_what_the_data_cannot_tell_apart_is_told_apart_by_the_proposed_trials(pr
     assert truth in proposal.rivals
     assert others & set(proposal.rivals)
     dataset, model = bench.carry_out(proposal, folder)
-    found = diagnose_dataset(dataset, model, Options(places=False))
-    (cause,) = found.causes
-    left = {str(one.name) for one in found.candidates if one.verdict in ("cause", "rival")}
+    diagnosis = diagnose_dataset(dataset, model, Options(places=False))
+    (cause,) = diagnosis.causes
+    left = {
+        str(candidate.name) for candidate in diagnosis.candidates if candidate.verdict in ("cause", "rival")
+    }
     assert str(cause.name) in left
     assert truth in left
     # the same effect at another place of the signal's way does the same
@@ -169,9 +173,11 @@ def test_what_the_data_cannot_tell_apart_is_told_apart_by_the_proposed_trials(pr
 
 def test_the_pair_is_expected_to_be_told_apart_beforehand(proposed):
     _, _, proposal, truth, others = proposed
-    expected = [one for one in proposal.outlook if one.truth == truth and one.rival in others]
+    expected = [
+        evidence for evidence in proposal.outlook if evidence.truth == truth and evidence.rival in others
+    ]
     assert expected
-    assert all(one.ratio > 1.0 and one.sigma > 5.0 for one in expected)
+    assert all(evidence.ratio > 1.0 and evidence.sigma > 5.0 for evidence in expected)
 
 
 def test_planned_inputs_stay_within_the_recorded_range(proposed):
@@ -189,15 +195,15 @@ def test_the_written_recording_waits_for_nothing_but_its_outputs(proposed, tmp_p
         read_recording(copy)
     output = [
         name
-        for name, one in tomllib.loads(proposal.file.read_text())["channels"].items()
-        if one["kind"] == "output"
+        for name, channel in tomllib.loads(proposal.file.read_text())["channels"].items()
+        if channel["kind"] == "output"
     ]
     for file in copy.glob("*.csv"):
         head, *rows = file.read_text().splitlines()
         file.write_text("\n".join([f"{head},{output[0]}", *(f"{row},0.0" for row in rows)]) + "\n")
     filled = read_recording(copy)
     assert len(filled.trials) == len(proposal.trials) * proposal.repeats
-    assert [dict(one.condition) for one in filled.trials[:: proposal.repeats]] == [
+    assert [dict(trial.condition) for trial in filled.trials[:: proposal.repeats]] == [
         dict(trial.condition) for trial in proposal.trials
     ]
 

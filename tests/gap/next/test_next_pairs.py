@@ -75,10 +75,10 @@ def test_what_slow_motion_leaves_open_the_proposed_experiment_settles(case, tmp_
     made.require_feasible()
     assert 0 < proposal.time_s <= proposal.time_at_most_s
     second = dry_run(tmp_path, proposal.file.stem, f"same-as:{pair.experiment}")
-    found = diagnose(first, more=[second], workspace=tmp_path, options=Options(places=False))
-    (cause,) = found.causes
+    result = diagnose(first, more=[second], workspace=tmp_path, options=Options(places=False))
+    (cause,) = result.causes
     assert str(cause.name) == pair.truth
-    left = {str(one.name) for one in found.candidates if one.verdict == "rival"}
+    left = {str(candidate.name) for candidate in result.candidates if candidate.verdict == "rival"}
     assert pair.mended_alike or pair.other not in left
 
 

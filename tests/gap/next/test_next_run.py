@@ -34,9 +34,9 @@ def test_from_a_run_to_its_next_experiment_and_to_the_diagnosis_of_both(tmp_path
     assert [dict(trial.condition) for trial in proposal.trials] == conditions
     Planner(loaded.experiment).plan(conditions).require_feasible()
     second = dry_run(tmp_path, "hinge-next")
-    found = diagnose(first, more=[second], workspace=tmp_path, options=Options(places=False))
-    assert [str(cause.name) for cause in found.causes] == ["quadratic-drag at hinge"]
-    assert not {str(name) for name in found.causes[0].indistinguishable_from} & set(proposal.rivals)
+    result = diagnose(first, more=[second], workspace=tmp_path, options=Options(places=False))
+    assert [str(cause.name) for cause in result.causes] == ["quadratic-drag at hinge"]
+    assert not {str(name) for name in result.causes[0].indistinguishable_from} & set(proposal.rivals)
 
 
 def test_a_workspace_that_takes_no_file_is_told_before_anything_is_computed(tmp_path, monkeypatch):
@@ -55,11 +55,11 @@ def test_a_workspace_that_takes_no_file_is_told_before_anything_is_computed(tmp_
 
 
 def test_values_go_as_far_as_the_limit_and_to_the_other_side():
-    found = beyond([10.0, 20.0], lambda value: -30.0 <= value <= 50.0)
-    assert max(found) == pytest.approx(50.0, rel=0.01)
-    assert min(found) == pytest.approx(-30.0, rel=0.01)
-    assert all(-30.0 <= value <= 50.0 for value in found)
-    assert not {10.0, 20.0, 0.0} & set(found)
+    results = beyond([10.0, 20.0], lambda value: -30.0 <= value <= 50.0)
+    assert max(results) == pytest.approx(50.0, rel=0.01)
+    assert min(results) == pytest.approx(-30.0, rel=0.01)
+    assert all(-30.0 <= value <= 50.0 for value in results)
+    assert not {10.0, 20.0, 0.0} & set(results)
 
 
 def test_where_no_limit_speaks_values_stay_within_four_times_the_measured():

@@ -20,8 +20,8 @@ def plan(folder):
     )
 
 
-def sizes(found):
-    return {str(one.name): one.size.value for one in found.visible if one.size is not None}
+def sizes(result):
+    return {str(effect.name): effect.size.value for effect in result.visible if effect.size is not None}
 
 
 def test_half_the_noise_and_a_quarter_of_the_repeats_show_the_same_sizes(plan, folder):
@@ -39,13 +39,13 @@ def test_half_the_noise_and_a_quarter_of_the_repeats_show_the_same_sizes(plan, f
 
 
 def test_what_a_free_parameter_imitates_no_trial_can_show(plan):
-    damping = next(one for one in plan.visible if one.name.effect == "viscous-damping")
+    damping = next(effect for effect in plan.visible if effect.name.effect == "viscous-damping")
     assert damping.size is None
     assert "imitate" in damping.why
 
 
 def test_effects_that_would_look_the_same_are_named_with_one_another(plan):
-    friction = next(one for one in plan.visible if one.name.effect == "coulomb-friction")
+    friction = next(effect for effect in plan.visible if effect.name.effect == "coulomb-friction")
     assert "stribeck-friction at hinge" in map(str, friction.alike)
     assert 0 <= friction.best < len(plan.trials)
 
@@ -54,7 +54,7 @@ def test_the_experiment_that_is_written_stays_inside_the_limits(plan):
     planned = check(str(plan.file))
     planned.require_feasible()
     assert planned.trials == len(plan.trials) * plan.repeats
-    assert all(abs(one.condition["release"]) <= 90 for one in plan.trials)
+    assert all(abs(trial.condition["release"]) <= 90 for trial in plan.trials)
 
 
 def test_the_words_name_trials_sizes_and_what_is_hidden(plan):

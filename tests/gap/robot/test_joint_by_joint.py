@@ -78,8 +78,8 @@ def arm(tmp_path: Path, friction: float = 0.0, step_s: float = SHORT_S):
         FitTrial(f"trial {k}", {"motion": f"m{k}"}, 1, time_s, goals, angles)
         for k, (goals, angles) in enumerate(log(friction, step_s=step_s))
     )
-    inputs = tuple(SignalInfo(one.name, one.unit, "hold") for one in model.inputs)
-    outputs = tuple(SignalInfo(one.name, one.unit) for one in model.outputs)
+    inputs = tuple(SignalInfo(signal.name, signal.unit, "hold") for signal in model.inputs)
+    outputs = tuple(SignalInfo(output.name, output.unit) for output in model.outputs)
     return robot, model, Dataset("arm", tmp_path, "recording", inputs, outputs, trials)
 
 
@@ -87,7 +87,7 @@ def test_smoothing_returns_the_motion_behind_the_noise():
     time_s = np.linspace(0, 4, 401)
     clean = np.sin(5 * time_s)
     noisy = clean + 1e-3 * np.random.default_rng(0).standard_normal(401)
-    q, rate, acceleration = (one[:, 0] for one in smoothed(time_s, noisy[:, None]))
+    q, rate, acceleration = (column[:, 0] for column in smoothed(time_s, noisy[:, None]))
     inner = slice(30, -30)
     assert np.std((q - clean)[inner]) < 0.5e-3
     assert np.std((rate - 5 * np.cos(5 * time_s))[inner]) < 0.02
@@ -96,12 +96,12 @@ def test_smoothing_returns_the_motion_behind_the_noise():
 
 def test_a_joint_alone_moves_as_it_does_in_the_robot(tmp_path):
     robot, model, dataset = arm(tmp_path)
-    found = prescribed(robot, model, dataset)
-    for place in range(2):
-        one = one_joint(found, place)
-        trial = one.dataset.trials[0]
+    result = prescribed(robot, model, dataset)
+    for index in range(2):
+        joint = one_joint(result, index)
+        trial = joint.dataset.trials[0]
         moved = simulate(
-            one.model, trial.time_s, trial.inputs, initial_state=[trial.outputs[0, 0], 0.0], substeps=2
+            joint.model, trial.time_s, trial.inputs, initial_state=[trial.outputs[0, 0], 0.0], substeps=2
         )
         assert np.std(moved.outputs[:, 0] - trial.outputs[:, 0]) < 3 * NOISE
 
@@ -113,12 +113,12 @@ def test_of_servos_that_the_file_lacks_gains_and_rotors_come_out_of_the_log(tmp_
     file.write_text(bare, encoding="utf-8")
     robot = read_robot(file, "undriven")
     model = parse_model(robot_table(robot), "bare")
-    one = one_joint(prescribed(robot, model, dataset), 1)
-    fitted = fit_model(one.model, one.dataset, rng=np.random.default_rng(0), starts=1)
-    found = {name: told.value for name, told in fitted.parameters.items()}
+    joint = one_joint(prescribed(robot, model, dataset), 1)
+    fitted = fit_model(joint.model, joint.dataset, rng=np.random.default_rng(0), starts=1)
+    result = {name: parameter.value for name, parameter in fitted.parameters.items()}
     # what brakes the joint and its servo is told as one
     truth = {"elbow_kp": 40.0, "elbow_armature": 0.02, "elbow_damping": 0.2 + 2.0}
-    assert {name: found[name] for name in truth} == pytest.approx(truth, rel=0.1)
+    assert {name: result[name] for name in truth} == pytest.approx(truth, rel=0.1)
 
 
 def test_where_the_torque_is_logged_a_joint_is_asked_which_torque_its_motion_takes(tmp_path):
@@ -139,11 +139,11 @@ def test_where_the_torque_is_logged_a_joint_is_asked_which_torque_its_motion_tak
                 mujoco.mj_step(simulated, data)
         trials.append(FitTrial(f"trial {number}", {"motion": f"m{number}"}, 1, time_s, torques, angles))
     robot, model = read_robot(tmp_path / "motors.xml"), load_model(tmp_path / "motors.xml")
-    inputs = tuple(SignalInfo(one.name, one.unit, "hold") for one in model.inputs)
-    outputs = tuple(SignalInfo(one.name, one.unit) for one in model.outputs)
+    inputs = tuple(SignalInfo(signal.name, signal.unit, "hold") for signal in model.inputs)
+    outputs = tuple(SignalInfo(output.name, output.unit) for output in model.outputs)
     dataset = Dataset("arm", tmp_path, "recording", inputs, outputs, tuple(trials))
-    one = one_joint(prescribed(robot, model, dataset), 1)
-    assert [each.name for each in one.model.outputs] == ["elbow_torque"]
+    joint = one_joint(prescribed(robot, model, dataset), 1)
+    assert [each.name for each in joint.model.outputs] == ["elbow_torque"]
     options = Options(workers=1, places=False, brisk=True)
     ((_, answer),) = _looked(prescribed(robot, model, dataset), [1], options, None, silent, np.inf)
     assert [str(cause.name) for cause in answer.causes] == ["coulomb-friction at elbow"]
@@ -164,7 +164,7 @@ def test_a_joint_that_is_done_is_told_with_the_time_that_the_others_take(tmp_pat
 def test_prescribed_motion_is_no_site(tmp_path):
     robot, model, dataset = arm(tmp_path)
     places = one_joint(prescribed(robot, model, dataset), 1).model.places
-    assert [(one.kind, one.name) for one in places] == [
+    assert [(location.kind, location.name) for location in places] == [
         ("joint", "elbow"), ("link", "elbow_link"), ("controller", "elbow_controller"), ("base", "base"),
         ("tip", "tip"), ("input", "elbow_command"), ("output", "elbow"),
     ]  # fmt: skip
@@ -176,8 +176,8 @@ def test_a_joint_may_be_called_as_the_robots_own_places_are(tmp_path, monkeypatc
     robot, model, dataset = arm(tmp_path)
     places = one_joint(prescribed(robot, model, dataset), 0).model.places
     other = {"base": "tip", "tip": "base"}[name]
-    found = {one.kind: one.name for one in places if one.kind in ("joint", "base", "tip")}
-    assert found == {"joint": name, name: f"robot_{name}", other: other}
+    names = {location.kind: location.name for location in places if location.kind in ("joint", "base", "tip")}
+    assert names == {"joint": name, name: f"robot_{name}", other: other}
 
 
 PLAY = 0.02
@@ -197,41 +197,43 @@ def arm_with_play(tmp_path: Path) -> Prescribed:
 
 def test_a_link_that_is_not_where_its_encoder_says_is_known_by_what_the_others_lack_no_more(tmp_path):
     """The elbow lacks something, too, as long as the shoulder is taken to be where its encoder says."""
-    found = arm_with_play(tmp_path)
-    links = links_that_explain(found, [0, 1], seed=0)
+    result = arm_with_play(tmp_path)
+    links = links_that_explain(result, [0, 1], seed=0)
     assert list(links) == [0]
     assert np.abs(np.concatenate(links[0])).max() == pytest.approx(PLAY / 2, rel=0.05)
-    assert links_that_explain(found, [0], seed=0) == {}
+    assert links_that_explain(result, [0], seed=0) == {}
 
 
 def test_what_lies_between_link_and_encoder_is_no_noise(tmp_path):
     """Else whatever hangs on the link would pass for what smoothing leaves of the others' noise."""
-    found = arm_with_play(tmp_path)
-    moved = found.with_links({0: [np.full(SAMPLES, 10 * NOISE)] * len(found.motions)})
+    result = arm_with_play(tmp_path)
+    moved = result.with_links({0: [np.full(SAMPLES, 10 * NOISE)] * len(result.motions)})
     drawn = moved.redrawn(np.random.default_rng(0))
-    apart = [one[0][:, 0] - other[0][:, 0] for one, other in zip(drawn.motions, moved.motions, strict=True)]
+    apart = [
+        first[0][:, 0] - other[0][:, 0] for first, other in zip(drawn.motions, moved.motions, strict=True)
+    ]
     assert np.std(np.concatenate(apart)) < NOISE
 
 
 def test_a_joint_moves_as_in_the_robot_once_the_play_of_the_encoder_before_it_is_known(tmp_path):
-    found = arm_with_play(tmp_path)
+    result = arm_with_play(tmp_path)
     play = AttachedEffect(load_effect("play"), "shoulder", (PLAY,))
     answers = [
-        (one_joint(found, 0), (play,), {}),
-        (one_joint(found, 1), (), {}),
+        (one_joint(result, 0), (play,), {}),
+        (one_joint(result, 1), (), {}),
     ]
-    beside = beside_encoders(found, answers)
-    assert list(beside) == [0]
-    assert np.abs(np.concatenate(beside[0])).max() == pytest.approx(PLAY / 2, rel=1e-2)
+    encoders = beside_encoders(result, answers)
+    assert list(encoders) == [0]
+    assert np.abs(np.concatenate(encoders[0])).max() == pytest.approx(PLAY / 2, rel=1e-2)
 
     def differs(given: Prescribed) -> float:
-        one = one_joint(given, 1)
-        trial = one.dataset.trials[0]
+        joint = one_joint(given, 1)
+        trial = joint.dataset.trials[0]
         begin = [trial.outputs[0, 0], 0.0]
-        moved = simulate(one.model, trial.time_s, trial.inputs, initial_state=begin, substeps=2)
+        moved = simulate(joint.model, trial.time_s, trial.inputs, initial_state=begin, substeps=2)
         return float(np.std(moved.outputs[:, 0] - trial.outputs[:, 0]))
 
-    assert differs(found.with_links(beside)) < 0.3 * differs(found)
+    assert differs(result.with_links(encoders)) < 0.3 * differs(result)
 
 
 def test_a_link_that_gives_way_asks_of_its_drive_what_gravity_asks_there(tmp_path):
@@ -241,61 +243,63 @@ def test_a_link_that_gives_way_asks_of_its_drive_what_gravity_asks_there(tmp_pat
     trial = FitTrial(
         "still", {}, 1, np.arange(count) * SAMPLE_S, np.zeros((count, 2)), np.tile(angles, (count, 1))
     )
-    found = prescribed(robot, model, dataclasses.replace(dataset, trials=(trial,)))
+    result = prescribed(robot, model, dataclasses.replace(dataset, trials=(trial,)))
 
     def weight(elbow: float) -> float:
         return 0.8 * 9.81 * 0.15 * np.sin(angles[0] + elbow)
 
     compliance = 1e-4
     more = weight(angles[1] - compliance * weight(angles[1])) - weight(angles[1])
-    assert -compliance * found.given_way(0, 1) == pytest.approx(more, rel=1e-3)
+    assert -compliance * result.given_way(0, 1) == pytest.approx(more, rel=1e-3)
 
 
 def test_what_smoothing_leaves_of_the_noise_is_felt_by_the_joint_that_hangs_on_the_others(tmp_path):
     robot, model, dataset = arm(tmp_path)
-    found = prescribed(robot, model, dataset)
-    drawn = found.redrawn(np.random.default_rng(0))
-    shoulder, elbow = (_smoothing_gap(one_joint(found, place), one_joint(drawn, place)) for place in range(2))
+    result = prescribed(robot, model, dataset)
+    drawn = result.redrawn(np.random.default_rng(0))
+    shoulder, elbow = (
+        _smoothing_gap(one_joint(result, index), one_joint(drawn, index)) for index in range(2)
+    )
     assert 0 < shoulder < elbow < 1
-    assert _smoothing_gap(one_joint(found, 1), one_joint(found, 1)) == 0
+    assert _smoothing_gap(one_joint(result, 1), one_joint(result, 1)) == 0
 
 
 def test_what_smoothing_leaves_is_told_in_units_of_what_is_believed_of_a_model(tmp_path):
     """A far finer encoder makes no joint far more doubtful: gaps are not told in units of its noise, either."""
     robot, model, dataset = arm(tmp_path)
-    found = prescribed(robot, model, dataset)
-    one, drawn = one_joint(found, 1), one_joint(found.redrawn(np.random.default_rng(0)), 1)
-    column = [signal.name for signal in one.model.inputs].index("measured")
+    result = prescribed(robot, model, dataset)
+    joint, drawn = one_joint(result, 1), one_joint(result.redrawn(np.random.default_rng(0)), 1)
+    column = [signal.name for signal in joint.model.inputs].index("measured")
     trials = [
         dataclasses.replace(
             trial, outputs=trial.inputs[:, [column]] + 1e-3 * (trial.outputs - trial.inputs[:, [column]])
         )
-        for trial in one.dataset.trials
+        for trial in joint.dataset.trials
     ]
-    finer = dataclasses.replace(one, dataset=dataclasses.replace(one.dataset, trials=tuple(trials)))
-    assert 0 < _smoothing_gap(finer, drawn) < 5 * _smoothing_gap(one, drawn)
+    finer = dataclasses.replace(joint, dataset=dataclasses.replace(joint.dataset, trials=tuple(trials)))
+    assert 0 < _smoothing_gap(finer, drawn) < 5 * _smoothing_gap(joint, drawn)
 
 
 @pytest.mark.slow
 def test_friction_is_named_at_its_joint_and_nothing_at_the_other(tmp_path):
     robot, model, dataset = arm(tmp_path, friction=0.25)
-    said: list[str] = []
-    found = diagnose_robot(robot, model, dataset, Options(workers=2), note=said.append)
-    shoulder, elbow = found.joints
-    assert [str(one.name) for one in elbow.diagnosis.causes] == ["coulomb-friction at elbow"]
+    messages: list[str] = []
+    diagnosis = diagnose_robot(robot, model, dataset, Options(workers=2), note=messages.append)
+    shoulder, elbow = diagnosis.joints
+    assert [str(cause.name) for cause in elbow.diagnosis.causes] == ["coulomb-friction at elbow"]
     assert elbow.diagnosis.causes[0].values["torque"].value == pytest.approx(0.25, rel=0.1)
     assert not shoulder.diagnosis.causes
     assert elbow.corrected < 0.5 * elbow.recalibrated
-    assert found.sentence == "1 of 2 joints lack physics: elbow: Coulomb friction."
-    assert any("2 of 2 joints" in one for one in said)
+    assert diagnosis.sentence == "1 of 2 joints lack physics: elbow: Coulomb friction."
+    assert any("2 of 2 joints" in message for message in messages)
 
 
 @pytest.mark.slow
 def test_a_simulators_own_time_step_is_no_early_clock(tmp_path):
     robot, model, dataset = arm(tmp_path, step_s=2e-3)
-    found = diagnose_robot(robot, model, dataset, Options(workers=2))
-    assert not found.named
-    assert any("-clock" in note for one in found.joints for note in one.diagnosis.notes)
+    diagnosis = diagnose_robot(robot, model, dataset, Options(workers=2))
+    assert not diagnosis.named
+    assert any("-clock" in note for joint in diagnosis.joints for note in joint.diagnosis.notes)
 
 
 def test_a_motor_behind_a_gear_drives_its_joint_with_what_the_gear_makes_of_its_control(tmp_path):
@@ -308,11 +312,11 @@ def test_a_motor_behind_a_gear_drives_its_joint_with_what_the_gear_makes_of_its_
             XML.replace(servo, f'<motor name="elbow" joint="elbow" gear="{gear}"/>'), encoding="utf-8"
         )
         robot, model = read_robot(file), load_model(file)
-        inputs = tuple(SignalInfo(one.name, one.unit) for one in model.inputs)
-        one = one_joint(prescribed(robot, model, dataclasses.replace(dataset, inputs=inputs)), 1)
-        trial = one.dataset.trials[0]
-        asked[gear] = simulate(one.model, trial.time_s, trial.inputs, initial_state=[]).outputs[:, 0]
-    assert [(one.input, one.unit) for one in robot.actuators][1] == ("elbow_control", "1")
+        inputs = tuple(SignalInfo(signal.name, signal.unit) for signal in model.inputs)
+        joint = one_joint(prescribed(robot, model, dataclasses.replace(dataset, inputs=inputs)), 1)
+        trial = joint.dataset.trials[0]
+        asked[gear] = simulate(joint.model, trial.time_s, trial.inputs, initial_state=[]).outputs[:, 0]
+    assert [(actuator.input, actuator.unit) for actuator in robot.actuators][1] == ("elbow_control", "1")
     np.testing.assert_allclose(48 * asked[48], asked[1])
 
 
@@ -345,27 +349,27 @@ def test_a_gain_that_alone_explains_a_joint_by_being_far_from_what_is_stated_is_
     ) -> JointDiagnosis:
         recalibration = {"elbow_kp": (40.0, tolerance, kp), "mass_ratio": (1.0, 0.05, 1.04)}
         gap = SimpleNamespace(raw=raw)
-        told = SimpleNamespace(causes=(), verdict=verdict, recalibration=recalibration, gap=gap)
-        return JointDiagnosis(SimpleNamespace(name="elbow"), told, 0.1, 0.01, 0.01)
+        namespace = SimpleNamespace(causes=(), verdict=verdict, recalibration=recalibration, gap=gap)
+        return JointDiagnosis(SimpleNamespace(name="elbow"), namespace, 0.1, 0.01, 0.01)
 
     assert joint(28.0).moved == {"elbow_kp": pytest.approx(0.7)}
     assert joint(36.0).moved == {}
     assert joint(28.0, "free").moved == {}
     assert joint(28.0, verdict="unexplained").moved == {}
     assert joint(28.0, raw=0.5).moved == {}  # it moves as stated, to within the noise
-    found = RobotDiagnosis("arm", "arm", "log", (joint(28.0), joint(41.0)), (), (), {}, (), 1.0)
-    assert found.sentence == "parameters are far from what is stated: elbow_kp -30 %."
+    diagnosis = RobotDiagnosis("arm", "arm", "log", (joint(28.0), joint(41.0)), (), (), {}, (), 1.0)
+    assert diagnosis.sentence == "parameters are far from what is stated: elbow_kp -30 %."
 
 
 def test_a_mass_is_told_only_where_the_joints_that_carry_it_agree():
-    told = SimpleNamespace(
+    namespace = SimpleNamespace(
         causes=(), verdict="no-gap", recalibration={"hand_mass_ratio": (1.0, 0.05, 1.3)},
         gap=SimpleNamespace(raw=5.0),
     )  # fmt: skip
 
     def elbow(median: float) -> JointDiagnosis:
         return JointDiagnosis(
-            SimpleNamespace(name="elbow"), told, 0.1, 0.01, 0.01, {"hand_mass_ratio": median}
+            SimpleNamespace(name="elbow"), namespace, 0.1, 0.01, 0.01, {"hand_mass_ratio": median}
         )
 
     assert elbow(1.25).moved == {"hand_mass": pytest.approx(1.3)}
@@ -375,7 +379,7 @@ def test_a_mass_is_told_only_where_the_joints_that_carry_it_agree():
 def test_of_two_places_that_as_many_joints_tell_a_load_at_the_one_that_leaves_less_counts():
     def told(*afters: float, effect: str = "payload") -> list:
         cause = SimpleNamespace(name=SimpleNamespace(effect=effect))
-        return [(None, SimpleNamespace(causes=[cause], gap=SimpleNamespace(after=one))) for one in afters]
+        return [(None, SimpleNamespace(causes=[cause], gap=SimpleNamespace(after=after))) for after in afters]
 
     assert _explained_by_load(told(5.1, 19.0), [0, 1]) < _explained_by_load(told(4.1, 7.7), [0, 1])
     assert _explained_by_load(told(0.1, 0.1, effect="bias"), [0, 1]) < _explained_by_load(
@@ -384,9 +388,9 @@ def test_of_two_places_that_as_many_joints_tell_a_load_at_the_one_that_leaves_le
 
 
 def test_where_recalibration_leaves_less_than_is_asked_for_no_cause_is_looked_for(tmp_path):
-    one = one_joint(prescribed(*arm(tmp_path, friction=0.25)), 1)
+    joint = one_joint(prescribed(*arm(tmp_path, friction=0.25)), 1)
     options = Options(places=False, brisk=True, least_gap=1e3)
-    answer = diagnose_dataset(one.dataset, one.model, options)
+    answer = diagnose_dataset(joint.dataset, joint.model, options)
     assert not answer.causes
     assert not answer.candidates
     assert 1.0 < answer.gap.recalibrated < 1e3
@@ -394,9 +398,9 @@ def test_where_recalibration_leaves_less_than_is_asked_for_no_cause_is_looked_fo
 
 def test_a_gain_that_leaves_no_gap_once_it_is_recalibrated_is_told_all_the_same():
     """The gap it makes is gone with it: nothing is left to announce, but how far it is off."""
-    found = examples.parameter()
+    parameter = examples.parameter()
     answer = _announced(
-        dataclasses.replace(found, gap=dataclasses.replace(found.gap, recalibrated=0.0)), 0.3, 0.002
+        dataclasses.replace(parameter, gap=dataclasses.replace(parameter.gap, recalibrated=0.0)), 0.3, 0.002
     )
     assert not answer.causes
     joint = JointDiagnosis(SimpleNamespace(name="hinge"), answer, 1.0, 0.1, 0.1)
@@ -418,38 +422,38 @@ def stored(**more):
 def test_ranges_hold_what_is_true_of_every_joint_and_link(tmp_path):
     robot, model, dataset = arm(tmp_path)
     diagnosis = stored(corrected={"elbow_kp": 41.0, "lower_mass": 0.82})
-    found = parameter_ranges(robot, model, dataset, diagnosis)
-    true = {one.name: one.value for one in model.parameters if one.tolerance != 0.0}
-    assert set(found) == set(true)
+    ranges = parameter_ranges(robot, model, dataset, diagnosis)
+    true = {parameter.name: parameter.value for parameter in model.parameters if parameter.tolerance != 0.0}
+    assert set(ranges) == set(true)
     for name, value in true.items():
-        assert found[name].ci95[0] <= value <= found[name].ci95[1], name
+        assert ranges[name].ci95[0] <= value <= ranges[name].ci95[1], name
 
 
 def test_ranges_are_those_beside_the_cause(tmp_path):
     robot, model, dataset = arm(tmp_path, friction=0.5)
     friction = {"effect": "coulomb-friction", "kind": "joint", "site": "elbow", "values": [0.5, 0.01, 2e-4]}
-    found = parameter_ranges(robot, model, dataset, stored(elbow={"effects": [friction]}))
+    ranges = parameter_ranges(robot, model, dataset, stored(elbow={"effects": [friction]}))
     without = parameter_ranges(robot, model, dataset, stored())
-    assert found["elbow_damping"].value == pytest.approx(0.2, rel=0.2)
+    assert ranges["elbow_damping"].value == pytest.approx(0.2, rel=0.2)
     assert without["elbow_damping"].value > 0.4  # friction is taken for damping
 
 
 def test_ranges_are_fitted_with_the_base_the_load_and_the_clock_that_were_found(tmp_path):
     robot, model, dataset = arm(tmp_path)
-    found = prescribed(robot, model, dataset)
-    at = found.tip.far_end + np.array([0.1, 0.0, 0.0])
-    place = dict(zip("xyz", at.tolist(), strict=True))
+    result = prescribed(robot, model, dataset)
+    at = result.tip.far_end + np.array([0.1, 0.0, 0.0])
+    position = dict(zip("xyz", at.tolist(), strict=True))
     play = {"effect": "play", "kind": "output", "site": "shoulder", "values": [1e-9]}
-    told = stored(
+    message = stored(
         shoulder={"effects": [play]},  # links are then prescribed anew
         whole=[
             {"effect": "gravity-tilt", "joints": ["elbow"], "values": {"roll": 0.1, "pitch": -0.2}},
-            {"effect": "payload", "joints": ["elbow"], "values": {"mass": 0.3, **place}},
+            {"effect": "payload", "joints": ["elbow"], "values": {"mass": 0.3, **position}},
             {"effect": "delay", "joints": ["elbow"], "values": {"time": 0.01}},
         ],
     )
-    answers = {one["joint"]: one["diagnosis"] for one in told["joints"]}
-    around = as_diagnosed(found, told, answers)
+    answers = {joint["joint"]: joint["diagnosis"] for joint in message["joints"]}
+    around = as_diagnosed(result, message, answers)
     assert around.lead_s == -0.01
-    wanted = found.with_load_at(found.tip.torque(at)).on_base(0.1, -0.2).loaded(0.3).around
+    wanted = result.with_load_at(result.tip.torque(at)).on_base(0.1, -0.2).loaded(0.3).around
     np.testing.assert_allclose(np.concatenate(around.around), np.concatenate(wanted), atol=1e-5)

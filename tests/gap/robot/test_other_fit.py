@@ -30,8 +30,8 @@ def numbers(values):
 
 def test_damping_where_friction_is_stands_in_for_friction_and_a_needless_number_is_not_asked_for(tmp_path):
     robot, model, dataset = logged(tmp_path, 0.4)
-    found = [FittedValue("elbow", "damping", 0.9), FittedValue("shoulder", "armature", 0.0515)]
-    fit = judge_fit(robot, model, dataset, diagnosis({}, {}, [FRICTION], [CAUSE]), found)
+    results = [FittedValue("elbow", "damping", 0.9), FittedValue("shoulder", "armature", 0.0515)]
+    fit = judge_fit(robot, model, dataset, diagnosis({}, {}, [FRICTION], [CAUSE]), results)
     damping, armature = fit.values
     assert damping.judgement == "stands in"
     assert damping.instead == "Coulomb friction at elbow"
@@ -42,8 +42,8 @@ def test_damping_where_friction_is_stands_in_for_friction_and_a_needless_number_
 
 def test_the_friction_that_is_there_holds(tmp_path):
     robot, model, dataset = logged(tmp_path, 0.4)
-    found = [FittedValue("elbow", "frictionloss", 0.39)]
-    fit = judge_fit(robot, model, dataset, diagnosis({}, {}, [FRICTION], [CAUSE]), found)
+    results = [FittedValue("elbow", "frictionloss", 0.39)]
+    fit = judge_fit(robot, model, dataset, diagnosis({}, {}, [FRICTION], [CAUSE]), results)
     assert [value.judgement for value in fit.values] == ["holds"]
     assert fit.values[0].without == pytest.approx(fit.joints[1].stated)
 
@@ -60,14 +60,14 @@ def test_a_plain_table_is_read(tmp_path, robot):
 def test_parameters_of_mujoco_sysid_are_read_with_their_bounds(tmp_path, robot):
     yaml = pytest.importorskip("yaml")
     # what mujoco.sysid.ParameterDict.save_to_disk writes: the state of every parameter by its name
-    told = {
+    message = {
         name: {"name": name, "nominal": [nominal], "min_value": [low], "max_value": [high], "value": [value]}
         for name, nominal, low, high, value in (
             ("elbow_armature", 0.02, 0.0, 0.1, 0.03),
             ("lower_mass", 0.8, 0.4, 1.2, 1.2),
         )
     }
-    (tmp_path / "params_x_hat.yaml").write_text(yaml.safe_dump(told))
+    (tmp_path / "params_x_hat.yaml").write_text(yaml.safe_dump(message))
     values = read_fit(tmp_path / "params_x_hat.yaml", robot)
     assert numbers(values) == {("elbow", "armature"): 0.03, ("lower", "mass"): 1.2}
     assert {value.element: value.at_bound for value in values} == {"elbow": False, "lower": True}
@@ -79,10 +79,10 @@ def test_lists_in_the_order_of_joints_are_read_and_a_delay_in_steps_becomes_seco
         "static_friction": [0.3, 0.4], "delay": 5,
     }  # fmt: skip
     (tmp_path / "fit.json").write_text(json.dumps(pace))
-    found = numbers(read_fit(tmp_path / "fit.json", robot))
-    assert found["elbow", "armature"] == 0.03
-    assert found["shoulder", "frictionloss"] == 0.4
-    assert found["elbow", "delay"] == pytest.approx(0.005)
+    result = numbers(read_fit(tmp_path / "fit.json", robot))
+    assert result["elbow", "armature"] == 0.03
+    assert result["shoulder", "frictionloss"] == 0.4
+    assert result["elbow", "delay"] == pytest.approx(0.005)
 
 
 def test_actuators_of_isaac_lab_are_read_by_their_patterns(tmp_path, robot):
@@ -93,10 +93,10 @@ def test_actuators_of_isaac_lab_are_read_by_their_patterns(tmp_path, robot):
         "armature": 0.01,
     }
     (tmp_path / "fit.json").write_text(json.dumps({"actuators": {"arm": legs}}))
-    found = numbers(read_fit(tmp_path / "fit.json", robot))
-    assert (found["elbow", "kp"], found["shoulder", "kp"]) == (42.0, 160.0)
-    assert found["elbow", "armature"] == 0.01
-    assert ("elbow", "damping") not in found
+    result = numbers(read_fit(tmp_path / "fit.json", robot))
+    assert (result["elbow", "kp"], result["shoulder", "kp"]) == (42.0, 160.0)
+    assert result["elbow", "armature"] == 0.01
+    assert ("elbow", "damping") not in result
 
 
 def test_an_identified_mjcf_is_read(tmp_path, robot):

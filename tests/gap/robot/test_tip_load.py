@@ -58,8 +58,8 @@ def logged(tmp_path: Path, load_kg: float, place_m: tuple[float, float, float], 
     file = tmp_path / "arm.xml"
     file.write_text(XML, encoding="utf-8")
     robot, model = read_robot(file), load_model(file)
-    inputs = tuple(SignalInfo(one.name, one.unit, "hold") for one in model.inputs)
-    outputs = tuple(SignalInfo(one.name, one.unit) for one in model.outputs)
+    inputs = tuple(SignalInfo(signal.name, signal.unit, "hold") for signal in model.inputs)
+    outputs = tuple(SignalInfo(output.name, output.unit) for output in model.outputs)
     return prescribed(robot, model, Dataset("arm", tmp_path, "recording", inputs, outputs, tuple(trials)))
 
 
@@ -70,13 +70,13 @@ def test_a_load_starts_to_be_looked_for_where_the_last_link_ends(tmp_path):
 @pytest.mark.parametrize("gain", [1.0, 0.93])
 @pytest.mark.parametrize("place_m", [(0.02, 0.0, 0.1), (-0.03, 0.04, 0.12), (0.0, 0.0, 0.03)])
 def test_the_place_of_a_load_is_found_beside_gains_that_are_off(tmp_path, place_m, gain):
-    found = logged(tmp_path, 0.4, place_m, gain)
-    place = place_of_load(found, found.tip)
-    assert place == pytest.approx(place_m, abs=4e-3)
+    result = logged(tmp_path, 0.4, place_m, gain)
+    position = place_of_load(result, result.tip)
+    assert position == pytest.approx(place_m, abs=4e-3)
 
 
 def test_a_load_that_is_known_leaves_none_to_be_looked_for(tmp_path):
-    found = logged(tmp_path, 0.4, (-0.03, 0.04, 0.12), 1.0)
-    there = found.with_load_at(found.tip.torque(np.array([-0.03, 0.04, 0.12])))
-    place = place_of_load(there.loaded(0.4), found.tip)
-    assert place is None or place != pytest.approx([-0.03, 0.04, 0.12], abs=4e-3)
+    result = logged(tmp_path, 0.4, (-0.03, 0.04, 0.12), 1.0)
+    there = result.with_load_at(result.tip.torque(np.array([-0.03, 0.04, 0.12])))
+    position = place_of_load(there.loaded(0.4), result.tip)
+    assert position is None or position != pytest.approx([-0.03, 0.04, 0.12], abs=4e-3)

@@ -104,10 +104,10 @@ def test_a_channel_without_torque_is_told_dead_and_its_joint_is_not_blamed(tmp_p
 
 def test_the_answer_is_json_and_says_which_low_pass_was_taken(tmp_path):
     diagnosis = diagnosed(tmp_path, 2, Hidden(force=friction(0.8, 0.4)), trials=3, seconds=6.0)
-    told = json.loads(json.dumps(diagnosis.to_json()))
-    assert {cause["effect"] for cause in told["causes"]} == {"coulomb-friction"}
-    assert told["joints"][0]["error_unit"] == "N m"
-    assert any("low-passed at" in note for note in told["notes"])
+    loads = json.loads(json.dumps(diagnosis.to_json()))
+    assert {cause["effect"] for cause in loads["causes"]} == {"coulomb-friction"}
+    assert loads["joints"][0]["error_unit"] == "N m"
+    assert any("low-passed at" in note for note in loads["notes"])
 
 
 def test_only_robots_whose_drives_are_all_told_torques_are_diagnosed_by_them(tmp_path):

@@ -23,10 +23,10 @@ def arm(joints: int) -> str:
     bodies, ends = "", ""
     for number, axis in enumerate(axes):
         mass, length = 4.0 * 0.65**number, 0.3 if number < 3 else 0.12
-        place = "0 0 0.1" if number == 0 else f"0 0 {0.3 if number <= 3 else 0.12}"
+        text = "0 0 0.1" if number == 0 else f"0 0 {0.3 if number <= 3 else 0.12}"
         across, along = mass * length**2 / 10, mass * length**2 / 40
         bodies += (
-            f'<body name="link_{number + 1}" pos="{place}"><joint name="arm_{number + 1}" axis="{axis}"/>'
+            f'<body name="link_{number + 1}" pos="{text}"><joint name="arm_{number + 1}" axis="{axis}"/>'
             f'<inertial pos="{0.01 * (-1) ** number} 0.005 {length / 2}" mass="{mass:.4f}" '
             f'diaginertia="{across:.6f} {across:.6f} {along:.6f}"/>'
         )
@@ -109,13 +109,16 @@ def diagnosed(
     file = folder / "arm.xml"
     file.write_text(arm(joints), encoding="utf-8")
     robot, model = read_robot(file), load_model(file)
-    inputs = tuple(SignalInfo(one.name, one.unit, "linear") for one in model.inputs)
-    outputs = tuple(SignalInfo(one.name, one.unit) for one in model.outputs)
+    inputs = tuple(SignalInfo(signal.name, signal.unit, "linear") for signal in model.inputs)
+    outputs = tuple(SignalInfo(output.name, output.unit) for output in model.outputs)
     dataset = Dataset("arm", folder, "recording", inputs, outputs, tuple(made))
     return diagnose_torques(robot, model, dataset)
 
 
 def causes_of(diagnosis: RobotDiagnosis) -> dict[tuple[str, str], Cause]:
     """Return all causes by effect and site."""
-    every = [*diagnosis.whole_causes, *(cause for one in diagnosis.joints for cause in one.diagnosis.causes)]
+    every = [
+        *diagnosis.whole_causes,
+        *(cause for joint in diagnosis.joints for cause in joint.diagnosis.causes),
+    ]
     return {(cause.name.effect, cause.name.site): cause for cause in every}

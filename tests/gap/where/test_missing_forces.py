@@ -12,15 +12,15 @@ def hidden(name, **values):
     return load_effect(name, "joint").attach("hinge", **values)
 
 
-def correlation(found, law):
+def correlation(result, law):
     """Correlation of the force that was found with a law, once what recalibration takes is taken out of both."""
-    force, true = np.concatenate(found.force), []
+    force, true = np.concatenate(result.force), []
     columns = []
-    for q, rate in zip(found.coordinate, found.rate, strict=True):
+    for q, rate in zip(result.coordinate, result.rate, strict=True):
         true.append(law(q, rate))
         columns.append(np.stack([q, rate, np.gradient(rate)], axis=1))
     free = np.linalg.qr(np.concatenate(columns))[0]
-    both = [one - free @ (free.T @ one) for one in (force, np.concatenate(true))]
+    both = [values - free @ (free.T @ values) for values in (force, np.concatenate(true))]
     return np.corrcoef(*both)[0, 1]
 
 
@@ -36,13 +36,13 @@ def correlation(found, law):
 )
 def test_the_force_that_is_missing_is_the_hidden_one(effect, law):
     difference = made(np.random.default_rng(1), [effect], sd=np.array([0.003, 0.02]))
-    (found,) = missing_forces(difference)
-    assert found.site == "hinge"
-    assert (found.unit, found.coordinate_unit, found.load_unit) == ("N m", "rad", "N m")
-    assert found.share > 0.95
-    assert correlation(found, law) > 0.8
-    assert [len(one) for one in found.force] == [len(one) for one in found.time_s]
-    assert len(found.load) == len(found.force)
+    (force,) = missing_forces(difference)
+    assert force.site == "hinge"
+    assert (force.unit, force.coordinate_unit, force.load_unit) == ("N m", "rad", "N m")
+    assert force.share > 0.95
+    assert correlation(force, law) > 0.8
+    assert [len(values) for values in force.force] == [len(values) for values in force.time_s]
+    assert len(force.load) == len(force.force)
 
 
 def test_without_recalibration_the_force_is_the_hidden_one_in_size_too():
@@ -54,8 +54,8 @@ def test_without_recalibration_the_force_is_the_hidden_one_in_size_too():
         recalibrate=False,
         sd=np.array([0.003, 0.02]),
     )
-    (found,) = missing_forces(difference)
-    force, true = np.concatenate(found.force), -0.4 * np.concatenate(found.coordinate) ** 3
+    (result,) = missing_forces(difference)
+    force, true = np.concatenate(result.force), -0.4 * np.concatenate(result.coordinate) ** 3
     assert np.sqrt(np.mean((force - true) ** 2)) < 0.15 * np.sqrt(np.mean(true**2))
 
 
@@ -100,11 +100,11 @@ rate = 0.0
             trials.append(
                 FitTrial(str(number), {"start": start}, repeat, time_s, np.empty((150, 0)), outputs)
             )
-    (found,) = missing_forces(compared(model, trials, recalibrate=False))
-    rate, force = np.concatenate(found.rate), np.concatenate(found.force)
-    assert found.share > 0.95
+    (result,) = missing_forces(compared(model, trials, recalibrate=False))
+    rate, force = np.concatenate(result.rate), np.concatenate(result.force)
+    assert result.share > 0.95
     assert float(rate @ force / (rate @ rate)) == pytest.approx(-0.3, abs=0.05)
-    assert found.load == ()
+    assert result.load == ()
 
 
 def test_models_without_sites_lack_no_force():

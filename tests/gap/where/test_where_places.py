@@ -9,11 +9,11 @@ from labrun.gap.where.parts import channel_text
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [("torque_y", "the torque y"), ("angle", "the angle"), ("phi", "phi"), ("theta_2", "theta 2")],
 )
-def test_a_word_is_said_with_its_article_and_a_symbol_without(name, said):
-    assert channel_text(name) == said
+def test_a_word_is_said_with_its_article_and_a_symbol_without(name, message):
+    assert channel_text(name) == message
 
 
 def attached(name, kind="joint", site="hinge", **values):
@@ -29,7 +29,7 @@ def places_of(difference, seed=0, draws=60, note=lambda _: None):
 
 
 def by(places, kind):
-    return [one for one in places if one.by == kind and " | " not in one.at]
+    return [location for location in places if location.by == kind and " | " not in location.at]
 
 
 def test_what_happens_only_around_reversals_is_found_there():
@@ -72,9 +72,9 @@ def test_an_effect_that_is_there_at_two_of_five_frequencies_is_placed_in_those()
     difference = made(np.random.default_rng(5), [FRICTION], effects_at=(0.5, 0.8))
     places = places_of(difference)
     conditions = by(places, "condition")
-    assert {one.at for one in conditions[:2]} == {"frequency_hz = 0.5", "frequency_hz = 0.8"}
-    assert sum(one.share for one in conditions[:2]) > 0.9
-    assert sum(one.share for one in conditions) == pytest.approx(1.0, abs=0.01)
+    assert {condition.at for condition in conditions[:2]} == {"frequency_hz = 0.5", "frequency_hz = 0.8"}
+    assert sum(condition.share for condition in conditions[:2]) > 0.9
+    assert sum(condition.share for condition in conditions) == pytest.approx(1.0, abs=0.01)
 
 
 def test_one_stroke_at_some_conditions_is_placed_in_both():
@@ -93,12 +93,12 @@ def test_one_stroke_at_some_conditions_is_placed_in_both():
 def test_parts_of_each_way_of_dividing_add_up_to_the_whole():
     places = places_of(made(np.random.default_rng(7), [CUBIC]))
     strokes = [share_of(places, "phase", f"{name} stroke").share for name in ("forward", "recovery")]
-    assert sum(one.share for one in by(places, "channel")) == pytest.approx(1.0)
+    assert sum(location.share for location in by(places, "channel")) == pytest.approx(1.0)
     assert sum(strokes) == pytest.approx(1.0)
-    assert sum(one.share for one in by(places, "frequency")) == pytest.approx(1.0)
-    assert sum(one.share for one in places if one.at.startswith("recovery stroke | ")) == pytest.approx(
-        strokes[1]
-    )
+    assert sum(location.share for location in by(places, "frequency")) == pytest.approx(1.0)
+    assert sum(
+        location.share for location in places if location.at.startswith("recovery stroke | ")
+    ) == pytest.approx(strokes[1])
 
 
 @pytest.mark.parametrize("repeats", [2, 5])
@@ -109,26 +109,29 @@ def test_noise_alone_is_announced_nowhere_more_often_than_chance_allows(repeats)
         rng = np.random.default_rng(seed)
         difference = made(rng, frequencies=(0.8, 1.3), repeats=repeats, seconds=3.0, rate_hz=40.0)
         places = places_of(difference, seed, draws=40)
-        alarms.append(min(one.p for one in places) <= 0.05)
+        alarms.append(min(location.p for location in places) <= 0.05)
     assert sum(alarms) <= binom.ppf(0.999, seeds, 0.05)
 
 
 def test_noise_alone_gives_no_shares_and_says_so():
-    said = []
+    messages = []
     difference = made(np.random.default_rng(11))
-    places = places_of(difference, note=said.append)
-    assert all(one.share == 0.0 and one.p > 0.05 for one in places)
-    assert any("nothing to place" in one for one in said)
+    places = places_of(difference, note=messages.append)
+    assert all(location.share == 0.0 and location.p > 0.05 for location in places)
+    assert any("nothing to place" in message for message in messages)
 
 
 def test_without_repeats_shares_are_told_with_the_reservation_that_goes_with_it():
-    said = []
+    messages = []
     difference = made(np.random.default_rng(12), [FRICTION], repeats=1, effects_at=(0.5, 0.8))
     assert difference.noise.basis == "residual"
-    places = places_of(difference, note=said.append)
-    assert any("Nothing was repeated" in one for one in said)
-    assert {one.at for one in by(places, "condition")[:2]} == {"frequency_hz = 0.5", "frequency_hz = 0.8"}
-    assert all(one.p is None for one in by(places, "channel"))
+    places = places_of(difference, note=messages.append)
+    assert any("Nothing was repeated" in message for message in messages)
+    assert {location.at for location in by(places, "condition")[:2]} == {
+        "frequency_hz = 0.5",
+        "frequency_hz = 0.8",
+    }
+    assert all(location.p is None for location in by(places, "channel"))
 
 
 def test_the_same_seed_gives_the_same_places():
@@ -154,6 +157,6 @@ def test_what_recalibration_takes_out_of_noise_is_not_expected_back():
 
 def test_a_band_of_frequencies_makes_up_at_least_the_power_that_the_signal_has_there():
     places = places_of(made(np.random.default_rng(5)), draws=5)
-    parts = {one.at: one.part for one in places if one.by == "frequency"}
+    parts = {location.at: location.part for location in places if location.by == "frequency"}
     assert parts["at the drive"] > 0.9  # a sine
     assert all(0.0 <= part <= 1.0 for part in parts.values())

@@ -72,13 +72,13 @@ def made(
 
 def compared(model, trials, *, recalibrate=True):
     """Return a model, recalibrated or not, beside trials."""
-    inputs = tuple(SignalInfo(one.name, one.unit) for one in model.inputs)
-    outputs = tuple(SignalInfo(one.name, one.unit) for one in model.outputs)
+    inputs = tuple(SignalInfo(signal.name, signal.unit) for signal in model.inputs)
+    outputs = tuple(SignalInfo(output.name, output.unit) for output in model.outputs)
     dataset = Dataset("case", Path("case"), "recording", inputs, outputs, tuple(trials))
     units = averaged(dataset, model)
-    drives = tuple(prepare(model, one.time_s, one.inputs, SUBSTEPS) for one in units.trials)
-    start = [model.initial_state(one.condition) for one in units.trials]
-    spread = np.std(np.concatenate([one.outputs for one in trials]), axis=0)
+    drives = tuple(prepare(model, trial.time_s, trial.inputs, SUBSTEPS) for trial in units.trials)
+    start = [model.initial_state(trial.condition) for trial in units.trials]
+    spread = np.std(np.concatenate([trial.outputs for trial in trials]), axis=0)
 
     def outputs_of(factors):
         return [
@@ -91,17 +91,18 @@ def compared(model, trials, *, recalibrate=True):
 
     def residual_of(factors):
         pairs = zip(units.trials, outputs_of(factors), strict=True)
-        return np.concatenate([((unit.outputs - one) / spread).ravel() for unit, one in pairs])
+        return np.concatenate([((unit.outputs - output) / spread).ravel() for unit, output in pairs])
 
     factors, jacobian = np.ones(len(model.parameters)), None
     if recalibrate and len(factors):
-        found = least_squares(residual_of, factors)
-        factors = found.x
-        jacobian = -found.jac * np.tile(spread, len(found.jac) // len(spread))[:, None]
+        solution = least_squares(residual_of, factors)
+        factors = solution.x
+        jacobian = -solution.jac * np.tile(spread, len(solution.jac) // len(spread))[:, None]
     simulated = tuple(outputs_of(factors))
-    residual = tuple(unit.outputs - one for unit, one in zip(units.trials, simulated, strict=True))
+    residual = tuple(unit.outputs - output for unit, output in zip(units.trials, simulated, strict=True))
     members = [
-        [member - one for member in unit.members] for unit, one in zip(units.trials, simulated, strict=True)
+        [member - output for member in unit.members]
+        for unit, output in zip(units.trials, simulated, strict=True)
     ]
     noise = from_repeats(units, members) or from_residual(units, members)
     return Difference(
@@ -111,7 +112,7 @@ def compared(model, trials, *, recalibrate=True):
 
 def share_of(places, by, at):
     """Return the place of that name."""
-    return next(one for one in places if one.by == by and one.at == at)
+    return next(location for location in places if location.by == by and location.at == at)
 
 
 __all__ = [

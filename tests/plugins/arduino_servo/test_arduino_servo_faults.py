@@ -56,18 +56,18 @@ def _opens(driver):
 
 def _raised(bench):
     """Return what the driver raises, sooner or later, when the runner looks at it."""
-    found = []
+    results = []
 
     def look():
         try:
             bench.driver.pose()
             bench.driver.health()
         except DeviceError as error:
-            found.append(error)
-        return found
+            results.append(error)
+        return results
 
     bench.wait_until(look, WITHIN_S)
-    return found[0]
+    return results[0]
 
 
 @pytest.mark.parametrize(

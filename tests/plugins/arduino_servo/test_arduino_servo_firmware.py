@@ -183,7 +183,7 @@ class Emulated:
 
     def pulses(self) -> list[int]:
         """Return the pulse width of each channel that gives pulses, 0 of the others."""
-        return [0 if one.limits_us is None else one.pulse_us for one in self._board._channels]
+        return [0 if channel.limits_us is None else channel.pulse_us for channel in self._board._channels]
 
 
 def test_firmware_and_emulator_let_the_watchdog_expire_at_the_same_millisecond(board, tmp_path):

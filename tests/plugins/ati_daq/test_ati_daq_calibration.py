@@ -49,15 +49,15 @@ def test_axes_may_stand_in_any_order():
 
 
 def test_what_the_file_tells_of_the_sensor_is_kept():
-    told = calibration.parse(cal_text().encode()).told
-    assert told["Serial"] == "FT98765"
-    assert told["HWTempComp"] == "True"
-    assert told["OutputRange"] == "20"
-    assert "Dz 0.006" in told["BasicTransform"]
+    message = calibration.parse(cal_text().encode()).told
+    assert message["Serial"] == "FT98765"
+    assert message["HWTempComp"] == "True"
+    assert message["OutputRange"] == "20"
+    assert "Dz 0.006" in message["BasicTransform"]
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (cal_text(axes=AXES[:5]), "axis Tz is missing"),
         (cal_text(axes=(*AXES, "Fx")), "axis 'fx' is given twice"),
@@ -79,8 +79,8 @@ def test_what_the_file_tells_of_the_sensor_is_kept():
         ("<FTSensor>" + " " * 300_000 + "</FTSensor>", "longer than"),
     ],
 )
-def test_a_file_that_cannot_be_used_is_refused_and_told_why(text, said):
-    with pytest.raises(calibration.CalibrationError, match=said):
+def test_a_file_that_cannot_be_used_is_refused_and_told_why(text, message):
+    with pytest.raises(calibration.CalibrationError, match=message):
         calibration.parse(text.encode())
 
 
@@ -114,12 +114,12 @@ def test_blocks_come_out_whole_whatever_the_pieces_they_arrive_in(counts, cuts):
         sent.append((first, rng.standard_normal((count, 6))))
         first += count
     wire = b"".join(_block(*block) for block in sent)
-    parser, found, start = BlockParser(), [], 0
+    parser, result, start = BlockParser(), [], 0
     for cut in [*cuts, len(wire)]:
-        found += parser.feed(wire[start : start + cut])
+        result += parser.feed(wire[start : start + cut])
         start += cut
-    assert [block.first for block in found] == [first for first, _ in sent]
-    for block, (_, values) in zip(found, sent, strict=True):
+    assert [block.first for block in result] == [first for first, _ in sent]
+    for block, (_, values) in zip(result, sent, strict=True):
         np.testing.assert_array_equal(block.values, values)
     assert not parser.broken
 

@@ -148,9 +148,9 @@ def test_silence_is_told_with_the_device_and_what_to_try(bench):
     bench.driver.start()
     heard(bench, 0.2)
     bench.inject("silence")
-    said = failure(bench)
-    assert "device balance: no voltages for" in said
-    assert "check the card's cable" in said
+    exception = failure(bench)
+    assert "device balance: no voltages for" in exception
+    assert "check the card's cable" in exception
     bench.clear("silence")
     assert comes_back(bench)
 
@@ -190,7 +190,7 @@ def test_a_gauge_at_the_rail_is_counted_as_saturated(bench):
 
 
 @pytest.mark.parametrize(
-    ("fault", "value", "said"),
+    ("fault", "value", "message"),
     [
         ("nonsense", True, "gauge 5 reads nan V on an input of"),
         ("restart", 1, "the card counts its samples anew"),
@@ -198,12 +198,12 @@ def test_a_gauge_at_the_rail_is_counted_as_saturated(bench):
         ("unplug", True, "has ended the connection"),
     ],
 )
-def test_what_cannot_be_a_measurement_is_a_fault_and_the_device_comes_back(bench, fault, value, said):
+def test_what_cannot_be_a_measurement_is_a_fault_and_the_device_comes_back(bench, fault, value, message):
     bench.driver.start()
     heard(bench, 0.2)
     bench.inject(fault, value)
     text = failure(bench)
-    assert said in text
+    assert message in text
     assert text.startswith("device balance: ")
     assert "\n  " in text
     bench.clear(fault)

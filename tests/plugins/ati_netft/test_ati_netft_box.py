@@ -67,7 +67,7 @@ def test_the_numbered_units_of_the_tcp_port_are_those_of_the_manual():
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"cfgcpf": None}, "does not give cfgcpf"),
         ({"cfgcpt": "0"}, "cfgcpt = 0 counts per unit is not above 0"),
@@ -79,8 +79,8 @@ def test_the_numbered_units_of_the_tcp_port_are_those_of_the_manual():
         ({"setserial": "a<cfgcpf>5</cfgcpf>"}, "gives cfgcpf 2 times"),
     ],
 )
-def test_a_set_up_that_cannot_be_used_is_refused_with_its_name(changes, said):
-    with pytest.raises(network.BoxInfoError, match=said):
+def test_a_set_up_that_cannot_be_used_is_refused_with_its_name(changes, message):
+    with pytest.raises(network.BoxInfoError, match=message):
         network.parse(xml(**changes))
 
 

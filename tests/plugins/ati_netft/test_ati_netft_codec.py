@@ -80,8 +80,8 @@ def test_only_saturation_and_conditions_are_no_reason_to_discard_a_sample(word, 
 
 
 def test_every_bit_of_the_status_has_words_of_its_own():
-    said = {codec.words(bit) for bit in codec.BITS}
-    assert len(said) == len(codec.BITS) == 29
+    words = {codec.words(bit) for bit in codec.BITS}
+    assert len(words) == len(codec.BITS) == 29
     assert "analogue board error" in codec.words(0x9000_0000)
     assert "stack error" in codec.words(0x8000_2004)
     assert "temperature" in codec.words(0x8000_2004)
@@ -105,9 +105,9 @@ def test_a_block_gives_what_its_datagrams_give_one_by_one(datagrams):
     length = np.array([len(datagram) for datagram in datagrams], dtype=np.int64)
     records, number, malformed = codec.decode_block(slots, length)
     alone = [codec.decode(datagram) for datagram in datagrams]
-    assert malformed == sum(one is None for one in alone)
-    assert records.tobytes() == b"".join(one.tobytes() for one in alone if one is not None)
-    assert number.tolist() == [i for i, one in enumerate(alone) if one is not None for _ in one]
+    assert malformed == sum(text is None for text in alone)
+    assert records.tobytes() == b"".join(text.tobytes() for text in alone if text is not None)
+    assert number.tolist() == [i for i, text in enumerate(alone) if text is not None for _ in text]
 
 
 def test_a_block_does_not_change_when_its_buffer_is_used_again():

@@ -51,9 +51,9 @@ def asked(box, message, count=1):
 
 
 def test_the_emulated_box_answers_the_golden_requests_with_golden_layouts(box):
-    (one,) = asked(box, "12 34 00 02 00 00 00 01")
-    assert len(one) == 36
-    sequence, _, status, *counts = _RECORD.unpack(one)
+    (answer,) = asked(box, "12 34 00 02 00 00 00 01")
+    assert len(answer) == 36
+    sequence, _, status, *counts = _RECORD.unpack(answer)
     assert (sequence, status, len(counts)) == (1, 0, 6)
     stream = asked(box, "12 34 00 02 00 00 00 05", 5)
     assert [_RECORD.unpack(datagram)[0] for datagram in stream] == [1, 2, 3, 4, 5]

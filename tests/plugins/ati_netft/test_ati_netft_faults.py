@@ -271,10 +271,10 @@ def test_a_load_beyond_the_limit_is_found_in_records_that_are_not_handed_over_to
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"),
+    ("fault", "message"),
     [("restart", "no datagram"), ("reorder", "pynetft has given up"), ("silence", "")],
 )
-def test_pynetft_as_the_client_ends_with_an_error_and_not_in_silence(bench, fault, said):
+def test_pynetft_as_the_client_ends_with_an_error_and_not_in_silence(bench, fault, message):
     other = beside(bench, client="pynetft", silence_ms=400)
     with closing(other.driver):
         other.driver.open()
@@ -283,7 +283,7 @@ def test_pynetft_as_the_client_ends_with_an_error_and_not_in_silence(bench, faul
         bench.inject(fault, True if fault == "silence" else 1)
         error = failure(other)
     assert isinstance(error, DeviceError)
-    assert said in str(error)
+    assert message in str(error)
     assert "check its power and network cable" in str(error)
     bench.clear(fault)
     assert comes_back(other)

@@ -306,19 +306,19 @@ def _quaternion(turn):
 @given(headings, rolls, pitches)
 def test_angles_are_turns_about_z_x_and_y_in_that_order_as_the_stand_in_has_them(heading, roll, pitch):
     turn = Rotation.from_euler("ZXY", [heading, roll, pitch], degrees=True)
-    found = np.degrees(angles(_quaternion(turn)))
-    np.testing.assert_allclose((found - [heading, roll, pitch] + 180) % 360 - 180, 0, atol=1e-6)
+    result = np.degrees(angles(_quaternion(turn)))
+    np.testing.assert_allclose((result - [heading, roll, pitch] + 180) % 360 - 180, 0, atol=1e-6)
     upright = min(1.0, turn.as_matrix()[2, 2])  # rounding may take it beyond
     assert tilt(_quaternion(turn)) == pytest.approx(np.arccos(upright), abs=1e-6)
     np.testing.assert_allclose(up_in_body(_quaternion(turn)), turn.inv().apply([0, 0, 1]), atol=1e-12)
 
 
 @given(st.integers(0, 1000), st.integers(0, 1000))
-def test_the_turn_between_two_orientations_is_scipys_whatever_the_signs(one, other):
-    a, b = Rotation.random(random_state=one), Rotation.random(random_state=other)
+def test_the_turn_between_two_orientations_is_scipys_whatever_the_signs(first, other):
+    a, b = Rotation.random(random_state=first), Rotation.random(random_state=other)
     for sign in (1, -1):
-        found = turn_between(sign * _quaternion(a), _quaternion(b))
-        assert found == pytest.approx((a.inv() * b).magnitude(), abs=1e-6)
+        turn = turn_between(sign * _quaternion(a), _quaternion(b))
+        assert turn == pytest.approx((a.inv() * b).magnitude(), abs=1e-6)
 
 
 @settings(max_examples=40)

@@ -124,9 +124,9 @@ def test_probe_only_reads_and_finds_it(bench):
     began_s = bench.clock.now()
     port = bench.bench.settings["imu"]["port"]
     # A busy machine may let the short time-outs of a probe pass; a person would ask again, too.
-    found = next(filter(None, (Bno055.probe(port) for _ in range(5))), None)
-    assert found is not None
-    assert found.model == "Bosch BNO055"
+    probe = next(filter(None, (Bno055.probe(port) for _ in range(5))), None)
+    assert probe is not None
+    assert probe.model == "Bosch BNO055"
     assert written(bench, began_s) == []
 
 

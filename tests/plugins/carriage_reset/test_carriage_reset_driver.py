@@ -127,9 +127,9 @@ def test_an_emergency_stop_connects_from_scratch(shared):
 
 def test_a_probe_tells_the_winch_from_the_fins(shared):
     port = str(shared.bench.settings["winch"]["port"])
-    found = CarriageReset.probe(port)
-    assert found is not None
-    assert found.model == "labreset"
+    probe = CarriageReset.probe(port)
+    assert probe is not None
+    assert probe.model == "labreset"
 
 
 @pytest.mark.parametrize(
@@ -148,19 +148,19 @@ def test_a_fault_in_the_midst_of_a_pull_is_told_and_mended(shared, fault, value,
     shared.driver.travel(0.0, 0.1)
     shared.wait_until(lambda: shared.driver.pacing().sent > 5)
     shared.inject(fault, value)
-    found = []
+    results = []
 
     def look():
         try:
             shared.driver.position_m()
             shared.driver.health()
         except DeviceError as error:
-            found.append(error)
-        return found
+            results.append(error)
+        return results
 
     shared.wait_until(look, 3.0)
-    assert str(found[0]).startswith("device winch: ")
-    assert message in str(found[0])
+    assert str(results[0]).startswith("device winch: ")
+    assert message in str(results[0])
     shared.driver.safe_stop()
     shared.driver.close()
     if fault == "overcurrent":

@@ -70,7 +70,7 @@ def test_one_row_is_held_through_the_trial(solve):
         sys.exit()
     """
     with open_run(solve(before=alone).run) as run:
-        assert {one.condition["angle"]: one.objectives["peak"] for one in run.outcomes} == {
+        assert {outcome.condition["angle"]: outcome.objectives["peak"] for outcome in run.outcomes} == {
             10.0: 30.0,
             20.0: 60.0,
         }

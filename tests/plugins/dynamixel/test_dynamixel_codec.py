@@ -96,8 +96,8 @@ def test_fast_answers_are_the_golden_ones_and_are_found_whole(_name, blocks, tex
 def test_the_host_takes_a_fast_answer_apart_and_keeps_each_servos_error():
     blocks = [(3, 0, b"\xff\xff\xfd\x00"), (7, 0x80, b"\x01\x02\x03\x04")]
     (status,) = StatusParser().feed(wire.fast_status_packet(blocks))
-    found = split_fast(status, [3, 7], 4)
-    assert {i: (s.error, s.data) for i, s in found.items()} == {i: (e, d) for i, e, d in blocks}
+    fast = split_fast(status, [3, 7], 4)
+    assert {i: (s.error, s.data) for i, s in fast.items()} == {i: (e, d) for i, e, d in blocks}
     assert split_fast(status, [7, 3], 4) is None
     assert split_fast(status, [3, 7], 2) is None
     assert split_fast(status, [3], 4) is None
@@ -131,12 +131,12 @@ def test_both_sides_compute_the_same_check_sum(data):
 def test_how_answers_are_cut_into_pieces_does_not_matter(parts, data):
     stream = b"".join(parts)
     whole = [(s.id, s.error, s.data) for s in StatusParser().feed(stream)]
-    parser, found, rest = StatusParser(), [], stream
+    parser, result, rest = StatusParser(), [], stream
     while rest:
         size = data.draw(st.integers(1, max(1, len(rest))))
-        found += [(s.id, s.error, s.data) for s in parser.feed(rest[:size])]
+        result += [(s.id, s.error, s.data) for s in parser.feed(rest[:size])]
         rest = rest[size:]
-    assert found == whole
+    assert result == whole
 
 
 @given(
@@ -162,18 +162,18 @@ def test_the_host_takes_any_bytes_in_bounded_memory(noise):
 
 
 @given(st.integers(0, 252), ANYTHING, st.integers(7, 60), st.integers(1, 255))
-def test_an_answer_with_a_changed_payload_is_rejected_by_the_host(identity, body, place, change):
+def test_an_answer_with_a_changed_payload_is_rejected_by_the_host(identity, body, position, change):
     packet = bytearray(wire.status_packet(identity, 0, body))
-    place = 7 + (place - 7) % (len(packet) - 7)
-    packet[place] ^= change
+    index = 7 + (position - 7) % (len(packet) - 7)
+    packet[index] ^= change
     assert StatusParser().feed(bytes(packet)) == []
 
 
 @given(st.integers(0, 252), ANYTHING, st.integers(0, 60), st.integers(1, 255))
-def test_an_instruction_with_a_changed_payload_is_not_carried_out(identity, body, place, change):
+def test_an_instruction_with_a_changed_payload_is_not_carried_out(identity, body, position, change):
     packet = bytearray(wire.instruction_packet(identity, 3, body))
-    place = 7 + place % (len(packet) - 7)
-    packet[place] ^= change
+    index = 7 + position % (len(packet) - 7)
+    packet[index] ^= change
     assert not [i for i in wire.InstructionReader().feed(bytes(packet)) if i.sound]
 
 
@@ -195,8 +195,8 @@ def test_an_answer_without_room_for_its_error_byte_is_none_even_with_a_right_che
     short = bytes.fromhex("FF FF FD 00 01 03 00 55")
     assert parser.feed(short + crc16(short).to_bytes(2, "little")) == []
     assert parser.damaged == 1
-    (found,) = parser.feed(bytes.fromhex("FF FF FD 00 01 04 00 55 00 A1 0C"))
-    assert (found.id, found.error, found.data) == (1, 0, b"")
+    (result,) = parser.feed(bytes.fromhex("FF FF FD 00 01 04 00 55 00 A1 0C"))
+    assert (result.id, result.error, result.data) == (1, 0, b"")
 
 
 def test_an_alert_comes_with_its_data():

@@ -296,9 +296,9 @@ def test_the_emergency_stop_needs_no_driver(bench):
 
 def test_a_probe_finds_them_and_leaves_the_port_free(shared):
     shared.driver.close()
-    found = Dynamixel.probe(shared.driver._settings.port)
-    assert found.model == "Dynamixel XM430-W210"
-    assert found.details["id 7"] == "XM430-W210, firmware 46"
+    probe = Dynamixel.probe(shared.driver._settings.port)
+    assert probe.model == "Dynamixel XM430-W210"
+    assert probe.details["id 7"] == "XM430-W210, firmware 46"
     shared.driver.open()
     assert Dynamixel.probe(shared.driver._settings.port) is None  # held by the driver
     shared.driver.close()

@@ -276,8 +276,8 @@ def test_a_restart_keeps_eeprom_and_forgets_ram():
 def test_the_status_return_level_decides_what_is_answered(level, answered):
     line = Line()
     line.write(1, 68, level, 1)
-    said = (line.say(1, wire.PING), line.read(1, 132), line.write(1, 112, 0))
-    assert [bool(answers) for answers in said] == [True, level >= 1, level >= 2]
+    messages = (line.say(1, wire.PING), line.read(1, 132), line.write(1, 112, 0))
+    assert [bool(answers) for answers in messages] == [True, level >= 1, level >= 2]
 
 
 def test_broadcast_and_group_writes_are_obeyed_without_an_answer():
@@ -371,9 +371,9 @@ def test_models_without_a_current_sensor_have_no_goal_current():
     st.lists(st.tuples(st.sampled_from([1, 2, 254]), st.integers(0, 255), st.binary(max_size=30)), max_size=8)
 )
 @settings(max_examples=60, deadline=None)
-def test_no_instruction_breaks_a_servo(said):
+def test_no_instruction_breaks_a_servo(message):
     line = Line(ids=(1, 2))
-    for identity, code, parameters in said:
+    for identity, code, parameters in message:
         line.say(identity, code, parameters)
         line.wait(0.02)
     assert [servo.table.get(0) for servo in line.servos] == [1030, 1030]
@@ -389,14 +389,14 @@ def test_a_shaft_told_in_small_steps_moves_as_the_stand_ins_does():
     time_s = np.arange(0.0, 1.0, 0.01)
     goals = np.round(np.radians(40) * np.sin(2 * np.pi * 1.4 * time_s) / SHAFT.step_rad) * SHAFT.step_rad
     shaft = EmulatedShaft("tail", 0.0, None, 5.0)
-    found = []
+    results = []
     for at_s, goal in zip(time_s, goals, strict=True):
         shaft.go(float(goal), SHAFT.speed_rad_s, 5.0 + at_s)
-        found.append(shaft.state(5.0 + at_s)[0])
+        results.append(shaft.state(5.0 + at_s)[0])
     held = np.repeat(np.column_stack([time_s, time_s + 0.01 - 1e-9]).ravel(), 1)
     stairs = Trajectory(("tail",), held, np.repeat(goals, 2)[:, None])
     wanted = SHAFT.motion("tail", stairs, 0.0).at(time_s)[:, 0]
-    assert np.abs(np.array(found) - wanted).max() < np.radians(0.1)
+    assert np.abs(np.array(results) - wanted).max() < np.radians(0.1)
 
 
 def test_a_joint_that_the_bench_lacks_is_told_before_anything_moves(tmp_path):
@@ -406,6 +406,6 @@ def test_a_joint_that_the_bench_lacks_is_told_before_anything_moves(tmp_path):
     limits = {"angle_deg": [-90, 90], "speed_deg_s": 90}
     keys = {"port": "/dev/none", "baud": 57600, "joints": {"sholder": {"id": 1}}, "limits": limits}
     settings = SimulatedDynamixelSettings.model_validate(keys)
-    with pytest.raises(DeviceError, match="no joint sholder") as told:
+    with pytest.raises(DeviceError, match="no joint sholder") as raises:
         DynamixelEmulator("servos", settings, context).open()
-    assert "it has shoulder, elbow" in str(told.value)
+    assert "it has shoulder, elbow" in str(raises.value)

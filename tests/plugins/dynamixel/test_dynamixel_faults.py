@@ -43,17 +43,17 @@ def _move(bench, angle_deg=30.0, duration_s=3.0):
 
 def _told(bench, ask=None):
     """Return what the driver says once it has noticed."""
-    found = []
+    results = []
 
     def look():
         try:
             (ask or bench.driver.pose)()
         except DeviceError as error:
-            found.append(error)
-        return found
+            results.append(error)
+        return results
 
     bench.wait_until(look)
-    return found[0]
+    return results[0]
 
 
 def _works_again(bench):

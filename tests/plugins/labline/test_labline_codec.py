@@ -61,13 +61,13 @@ def test_a_line_of_more_than_96_bytes_is_neither_written_nor_read():
 
 def test_every_golden_line_with_one_or_two_flipped_bits_is_dropped():
     for line, seq, fields in LINES:
-        told = codec.Line(seq, fields)
+        message = codec.Line(seq, fields)
         for count in (1, 2):
             for bits in itertools.combinations(range(8 * len(line)), count):
                 flipped = bytearray(line)
                 for bit in bits:
                     flipped[bit // 8] ^= 1 << (bit % 8)
-                assert codec.decode(bytes(flipped)) in {None, told}
+                assert codec.decode(bytes(flipped)) in {None, message}
 
 
 def test_lines_with_three_flipped_bits_are_never_taken_for_something_else():

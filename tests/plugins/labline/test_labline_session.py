@@ -68,9 +68,9 @@ def test_a_lost_answer_is_asked_for_again_and_the_board_acts_once(session, board
     begun_s = board.clock.now()
     board.inject("half-frame", 1)
     session.request("ATT", 0, 1000, 2000)
-    found = [x["event"] for x in board.log() if x["time_s"] >= begun_s]
-    assert found.count("attached") == 1
-    assert found.count("repeated") == 1
+    events = [x["event"] for x in board.log() if x["time_s"] >= begun_s]
+    assert events.count("attached") == 1
+    assert events.count("repeated") == 1
 
 
 def test_an_answer_that_comes_after_its_repetition_does_no_harm(session, board):
@@ -176,10 +176,10 @@ def test_a_silent_port_is_no_board(board):
 def test_a_probe_for_another_kind_finds_nothing_and_a_port_is_asked_once_for_all_kinds(board):
     assert probe(_port(board), "labstage") is None
     board.inject("silence")  # nobody would answer now
-    found = probe(_port(board), "labservo")
+    identity = probe(_port(board), "labservo")
     board.clear("silence")
-    assert found is not None
-    assert found.model == "labservo"
+    assert identity is not None
+    assert identity.model == "labservo"
 
 
 def test_a_stop_from_scratch_tries_again_and_tells_if_nobody_answers(board):

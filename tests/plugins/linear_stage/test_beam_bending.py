@@ -29,7 +29,7 @@ def finished(tmp_path_factory):
 
 def test_all_trials_are_accepted_and_go_as_far_as_they_were_sent(finished):
     run = open_run(finished[1])
-    assert [one.status for one in run.outcomes] == ["done"] * 6
+    assert [outcome.status for outcome in run.outcomes] == ["done"] * 6
     for outcome in run.outcomes:
         sense = np.sign(outcome.condition["reach"])
         assert sense * outcome.objectives["way"] == pytest.approx(0.025, abs=1e-4)
@@ -38,13 +38,13 @@ def test_all_trials_are_accepted_and_go_as_far_as_they_were_sent(finished):
 
 
 def test_the_intervals_of_the_fit_hold_stiffness_limit_and_loop_of_the_beams_that_are_clamped(finished):
-    found = fit(finished[1], results=finished[0], starts=1)
+    result = fit(finished[1], results=finished[0], starts=1)
     truth = {"stiffness": 2.0, "limit": 0.1, "buckled_stiffness": 0.1, "loop": 0.003}
     for name, value in truth.items():
-        low, high = found.parameters[name].ci95
+        low, high = result.parameters[name].ci95
         assert low < value < high
-        assert found.parameters[name].value == pytest.approx(value, rel=0.1)
-    assert any("3 mountings" in warning for warning in found.warnings)
+        assert result.parameters[name].value == pytest.approx(value, rel=0.1)
+    assert any("3 mountings" in warning for warning in result.warnings)
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_numbers(finished):
@@ -65,12 +65,14 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_numbers(finished):
     cut = folder / json.loads(done.stdout)["run"]
     assert labrun(folder, "resume", str(cut)).exit_code == 0
     whole, parts = open_run(path), open_run(cut)
-    assert [one.objectives for one in parts.outcomes] == [one.objectives for one in whole.outcomes]
+    assert [outcome.objectives for outcome in parts.outcomes] == [
+        outcome.objectives for outcome in whole.outcomes
+    ]
 
 
 def test_the_motion_stays_within_its_limits_and_the_sources_range():
     experiment = load_experiment(shipped_experiments() / "beam-bending.toml").experiment
-    reach_m = [np.radians(one["reach"]) * 0.1 for one in experiment.run.conditions]
+    reach_m = [np.radians(condition["reach"]) * 0.1 for condition in experiment.run.conditions]
     assert max(reach_m) - min(reach_m) == pytest.approx(0.05, rel=0.01)  # 50 mm in all, as the source bends
     low, high = experiment.rig.devices["stage"].settings["limits"]["travel_m"]
     assert low <= min(reach_m) and max(reach_m) <= high

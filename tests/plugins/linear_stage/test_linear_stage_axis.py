@@ -56,7 +56,7 @@ def test_an_end_switch_stops_at_once_and_lets_back(speed, which, end):
     axis.advance(10.0, 0)
     axis.run(speed)
     run(axis, 16.0)
-    assert [one for one, _ in stops] == [which]
+    assert [cause for cause, _ in stops] == [which]
     assert axis.true_mm == pytest.approx(end, abs=0.02)
     assert axis.may_move(speed) == which
     assert axis.may_move(-speed) == ""
@@ -72,7 +72,7 @@ def test_a_force_limit_stops_at_once_lets_back_only_and_ends_when_the_force_has_
     axis.advance(10.0, 0)
     axis.run(2.0)
     now_s = run(axis, 13.0, counts=counts)
-    assert [one for one, _ in stops] == ["FORCE"]
+    assert [cause for cause, _ in stops] == ["FORCE"]
     assert axis.true_mm == pytest.approx(32.0, abs=0.02)
     assert axis.force_limit
     assert axis.may_move(1.0) == "FORCE"

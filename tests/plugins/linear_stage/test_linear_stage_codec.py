@@ -80,10 +80,10 @@ def test_limits_of_travel_are_rounded_inwards(low_mm, high_mm):
 @given(st.lists(st.text(max_size=15), max_size=8))
 def test_no_fields_make_the_parsers_raise(fields):
     for parse in (parse_sample, parse_state):
-        found = parse(fields)
-        if found is not None:
-            assert -0x800000 <= found.counts <= 0x7FFFFF
-            assert math.isfinite(found.position_mm)
+        result = parse(fields)
+        if result is not None:
+            assert -0x800000 <= result.counts <= 0x7FFFFF
+            assert math.isfinite(result.position_mm)
 
 
 @pytest.mark.parametrize(
@@ -112,16 +112,16 @@ def test_what_is_no_sample_is_none(fields):
 def test_a_flipped_bit_makes_no_other_sample_and_pieces_make_no_difference(values, data):
     wires = [sealed(f"0,S,{n},{n},1.0000,{counts},2") for n, counts in values]
     stream = bytearray(b"".join(wires))
-    place = data.draw(st.integers(0, len(stream) - 1))
-    stream[place] ^= 1 << data.draw(st.integers(0, 7))
+    index = data.draw(st.integers(0, len(stream) - 1))
+    stream[index] ^= 1 << data.draw(st.integers(0, 7))
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
     parser, whole = LineParser(), LineParser()
     pieces = [stream[a:b] for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
-    found = [line for piece in pieces for line in parser.feed(bytes(piece))]
-    assert found == whole.feed(bytes(stream))
+    lines = [line for piece in pieces for line in parser.feed(bytes(piece))]
+    assert lines == whole.feed(bytes(stream))
     sent = {decode(wire[:-1]).fields for wire in wires}
-    assert {line.fields for line in found} <= sent
-    assert len(found) >= len(wires) - 2
+    assert {line.fields for line in lines} <= sent
+    assert len(lines) >= len(wires) - 2
 
 
 @given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 1000), max_size=50))

@@ -77,7 +77,7 @@ def _come_home(bench):
 def test_it_is_carriage_sensor_and_actuator(bench):
     for capability in (Carriage, Sensor, Actuator):
         assert isinstance(bench.driver, capability)
-    assert [(one.name, one.unit) for one in bench.driver.channels] == [
+    assert [(channel.name, channel.unit) for channel in bench.driver.channels] == [
         ("displacement", "m"),
         ("force", "N"),
         ("counts", "1"),
@@ -89,10 +89,10 @@ def test_opening_homes_it_and_says_what_it_is(bench):
     limits = bench.events("limits")[0]
     assert (limits["low_mm"], limits["high_mm"]) == (0.5, 22.0)
     assert limits["most_counts"] == int(7 / 4.676e-6 - 21400)
-    found = bench.driver.identify()
-    assert found.firmware == "labstage 1.0"
-    assert found.details["slope_n_per_count"] == "4.676e-06"
-    assert found.details["calibrated"] == "2026-03-02"
+    identity = bench.driver.identify()
+    assert identity.firmware == "labstage 1.0"
+    assert identity.details["slope_n_per_count"] == "4.676e-06"
+    assert identity.details["calibrated"] == "2026-03-02"
     assert bench.driver.health().ok
     assert bench.driver.position_m() == pytest.approx(0.0, abs=1e-6)
 
@@ -201,9 +201,15 @@ def test_the_equivalent_angle_is_displacement_over_lever(bench):
 
 def test_doctor_finds_nothing_to_mend_but_the_patient_watchdog(bench):
     remarks = bench.driver.examine()
-    assert {one.subject for one in remarks} >= {"firmware", "watchdog", "state", "calibration", "load cell"}
-    assert {one.subject for one in remarks if one.verdict != "ok"} <= {"calibration", "watchdog"}
-    assert "watchdog_ms = 100" in next(one.advice for one in remarks if one.subject == "watchdog")
+    assert {remark.subject for remark in remarks} >= {
+        "firmware",
+        "watchdog",
+        "state",
+        "calibration",
+        "load cell",
+    }
+    assert {remark.subject for remark in remarks if remark.verdict != "ok"} <= {"calibration", "watchdog"}
+    assert "watchdog_ms = 100" in next(remark.advice for remark in remarks if remark.subject == "watchdog")
 
 
 def test_reading_before_start_is_refused(bench):
@@ -242,7 +248,7 @@ def test_a_stage_that_is_not_homed_says_so_and_does_not_move(closed):
     begun_s = bench.clock.now()
     driver = _another(bench, _settings(bench, home_on_open=False, calibration=None, limits={}))
     driver.open()
-    assert [one.name for one in driver.channels] == ["displacement", "counts"]
+    assert [channel.name for channel in driver.channels] == ["displacement", "counts"]
     assert not driver.health().ok
     assert "not homed" in driver.health().notes[0]
     for move in (
@@ -263,7 +269,7 @@ def test_a_doctor_does_not_home_it(closed):
     begun_s = closed.clock.now()
     closed.driver.open_at_rest()
     assert closed.driver.health().ok  # a run homes it
-    (state,) = [one for one in closed.driver.examine() if one.subject == "state"]
+    (state,) = [check for check in closed.driver.examine() if check.subject == "state"]
     assert "a run begins by seeking the lower end switch" in state.message
     assert commands(closed, after_s=begun_s) == []
 

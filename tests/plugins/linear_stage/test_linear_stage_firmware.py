@@ -85,16 +85,17 @@ def test_homing_ends_half_a_millimetre_above_the_switch(board):
 def test_a_move_ends_where_it_was_sent_in_the_time_it_was_given(board):
     out = board(*HOMED, say(4, "STR", 80), say(5, "MV", "4.500", "2.000"), "T 2000", say(6, "PING"), "T 200")
     assert out.endswith(f"@ {round(4.5 * STEPS_PER_MM)}\n")
-    found = samples(out)
+    result = samples(out)
     speeds = [
-        (b.position_mm - a.position_mm) / (1e-6 * (b.micros - a.micros)) for a, b in itertools.pairwise(found)
+        (b.position_mm - a.position_mm) / (1e-6 * (b.micros - a.micros))
+        for a, b in itertools.pairwise(result)
     ]
     assert sorted(speeds)[len(speeds) // 2] == pytest.approx(2.0, rel=0.004)
     assert (
         max(speeds) < 2.0 * 1.007
     )  # it tells where between two steps it is, of the 40 from sample to sample
-    assert [one.n for one in found] == list(range(1, len(found) + 1))
-    assert {b.micros - a.micros for a, b in itertools.pairwise(found)} <= set(range(12440, 12561, 20))
+    assert [sample.n for sample in result] == list(range(1, len(result) + 1))
+    assert {b.micros - a.micros for a, b in itertools.pairwise(result)} <= set(range(12440, 12561, 20))
 
 
 def test_the_amplifiers_extremes_are_clipped_and_flagged(board):
@@ -138,7 +139,7 @@ def test_a_force_limit_stops_first_reports_after_and_lets_back_only(board):
         say(6, "VEL", "2.000"), "T 1500", say(7, "MV", "40.000", "2.000"), say(8, "MV", "0.600", "5.000"), "T 400",
     )  # fmt: skip
     assert ("EV", "LIMIT", "FORCE") in [line.fields for line in heard(out)]
-    stopped_mm = max(one.position_mm for one in samples(out))
+    stopped_mm = max(sample.position_mm for sample in samples(out))
     # 1400 steps are the limit; a conversion later it has gone on for 12.5 ms at 2 mm/s, at most
     assert 0 <= (stopped_mm - 0.5) * STEPS_PER_MM - 1400 <= 0.0126 * 2 * STEPS_PER_MM
     assert answers(out)[-2:] == [("ERR", "LIMIT", "FORCE"), ("OK", "MV")]
@@ -207,5 +208,5 @@ def test_garbage_too_long_lines_and_wrong_checksums_are_dropped_silently(board):
 
 def test_the_microseconds_wrap(board):
     out = board(f"U {2**32 - 200_000}", say(1, "STR", 80), "T 400")
-    found = samples(out)
-    assert found[0].micros > 2**31 > found[-1].micros
+    result = samples(out)
+    assert result[0].micros > 2**31 > result[-1].micros

@@ -205,9 +205,9 @@ def test_the_model_names_the_bodies_whatever_stands_around_them(version, rich):
         wire.BodyDescription("arm", 11, [(0, 0, 0), (1, 2, 3)]),
         wire.BodyDescription("Körper", 12),
     ]
-    found = decode_model(_payload(wire.model(bodies, version, rich=rich))[1], version)
-    assert found is not None
-    assert [(body.name, body.id, body.markers) for body in found] == [("arm", 11, 2), ("Körper", 12, 0)]
+    model = decode_model(_payload(wire.model(bodies, version, rich=rich))[1], version)
+    assert model is not None
+    assert [(body.name, body.id, body.markers) for body in model] == [("arm", 11, 2), ("Körper", 12, 0)]
 
 
 @pytest.mark.parametrize(

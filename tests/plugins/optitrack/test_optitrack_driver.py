@@ -74,16 +74,16 @@ def test_it_says_who_answered_and_how_and_pins_the_layout_it_was_asked_for():
         _open(bench)
         identity = bench.driver.identify()
         assert (identity.model, identity.firmware) == ("OptiTrack, Motive", "Motive 3.1.0.0")
-        told = dict(identity.details)
-        assert told["natnet"] == "4.2.0.0"
-        assert told["bitstream"] == "4.0"
+        details = dict(identity.details)
+        assert details["natnet"] == "4.2.0.0"
+        assert details["bitstream"] == "4.0"
         assert any(line["command"] == "Bitstream,4.0" for line in bench.events("request"))
         assert is_one_row_of_frames(collect(bench, at_least(20)))
-        assert told["rate_hz"] == "240"
-        assert told["up_axis"] == "z"
-        assert told["bodies"] == "arm = 11"
-        assert told["clock_hz"] == "10000000"
-        assert told["interface"] == "127.0.0.1"
+        assert details["rate_hz"] == "240"
+        assert details["up_axis"] == "z"
+        assert details["bodies"] == "arm = 11"
+        assert details["clock_hz"] == "10000000"
+        assert details["interface"] == "127.0.0.1"
         assert bench.driver.health().ok
         remarks = bench.driver.examine()
         assert {remark.verdict for remark in remarks} <= {"ok", "warning"}

@@ -150,9 +150,9 @@ def test_the_checksums_of_both_sides_agree_with_pymodbus():
 @example([ALIASING, b"\x4e", ALIASING[3:], ALIASING])
 def test_every_frame_among_foreign_bytes_is_found_in_its_order(parts):
     parser = codec.StreamParser()
-    found = [codec.stream_frame(frame.counts) for part in parts for frame in parser.feed(part)]
+    frames = [codec.stream_frame(frame.counts) for part in parts for frame in parser.feed(part)]
     whole = [part for part in parts if len(part) == 16 and part[:2] == codec.HEADER]
-    assert found == whole
+    assert frames == whole
     assert parser.frames == len(whole)
 
 
@@ -163,11 +163,11 @@ def test_how_the_bytes_are_cut_into_portions_changes_nothing(parts, data):
     at_once = codec.StreamParser()
     portions = codec.StreamParser()
     expected = [frame.counts for frame in at_once.feed(stream)]
-    found = []
+    results = []
     for begin, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
-        found += [frame.counts for frame in portions.feed(stream[begin:end])]
+        results += [frame.counts for frame in portions.feed(stream[begin:end])]
         assert len(portions._kept) < codec.FRAME_BYTES
-    assert found == expected
+    assert results == expected
     assert portions.crc_errors == at_once.crc_errors
 
 

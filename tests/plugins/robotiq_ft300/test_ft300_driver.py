@@ -162,10 +162,10 @@ def test_probe_finds_it_even_while_it_streams_and_leaves_the_port_free(bench):
             bench.inject("streaming", 1)
             bench.wait_for("stream")
         # A busy machine may let the short time-outs of a probe pass; a person would ask again, too.
-        found = next(filter(None, (RobotiqFt300.probe(port) for _ in range(5))), None)
-        assert found is not None
-        assert found.serial == "FTS-1234"
-        assert found.details["was_still_streaming"] == streaming
+        probe = next(filter(None, (RobotiqFt300.probe(port) for _ in range(5))), None)
+        assert probe is not None
+        assert probe.serial == "FTS-1234"
+        assert probe.details["was_still_streaming"] == streaming
     bench.driver.open()
     bench.driver.close()
 
@@ -242,10 +242,10 @@ class Pump:
         return self
 
     def _carry(self):
-        (one, _), (other, _) = self.ends
+        (first, _), (other, _) = self.ends
         while not self.ended:
-            for ready in select.select([one, other], [], [], 0.05)[0]:
-                os.write(other if ready == one else one, os.read(ready, 1000))
+            for ready in select.select([first, other], [], [], 0.05)[0]:
+                os.write(other if ready == first else first, os.read(ready, 1000))
 
     def __exit__(self, *_):
         self.ended = True

@@ -21,17 +21,17 @@ def _bench(name, hide):
 
 
 @pytest.mark.parametrize(
-    ("experiment", "hidden", "told"),
+    ("experiment", "hidden", "message"),
     [
         ("hinge", '{ effect = "coulomb-friction", site = "hinge" }', ("coulomb-friction", "hinge")),
         ("fin-params", '{ effect = "delay", site = "tail" }', ("delay", "tail")),
         ("turn-torque", '{ effect = "gain-error", site = "torque_z" }', ("gain-error", "torque_z")),
     ],
 )
-def test_a_set_on_the_command_line_hides_an_effect_by_its_plain_id(experiment, hidden, told):
+def test_a_set_on_the_command_line_hides_an_effect_by_its_plain_id(experiment, hidden, message):
     assert _scene(experiment).truth()["hidden"] == []
     (effect,) = _scene(experiment, f"rig.scene.hide=[{hidden}]").truth()["hidden"]
-    assert (effect["effect"], effect["site"]) == told
+    assert (effect["effect"], effect["site"]) == message
     assert all(np.isfinite(value) for value in effect["values"].values())
 
 

@@ -54,14 +54,16 @@ def test_every_site_that_a_bench_names_takes_an_effect(name):
 def test_the_memory_of_a_sealed_bench_tells_nothing_and_restores_it_exactly(name):
     site = bench(name).places[-1]
     hide = [{"effect": "lag", "site": site.name, "kind": "output"}]
-    one = moved(name, hide)
-    one.observe([BENCHES[name]], np.arange(0.0, 4.0, 0.01))
-    stored = json.loads(json.dumps(one.snapshot()))
+    first_move = moved(name, hide)
+    first_move.observe([BENCHES[name]], np.arange(0.0, 4.0, 0.01))
+    stored = json.loads(json.dumps(first_move.snapshot()))
     assert list(stored) == ["sealed"]
     other = bench(name, hide)
     other.restore(stored)
     later = np.arange(4.0, 6.0, 0.01)
-    np.testing.assert_array_equal(other.observe([BENCHES[name]], later), one.observe([BENCHES[name]], later))
+    np.testing.assert_array_equal(
+        other.observe([BENCHES[name]], later), first_move.observe([BENCHES[name]], later)
+    )
 
 
 def test_without_a_seal_the_memory_is_plain_as_before():

@@ -53,10 +53,10 @@ def test_values_are_whole_steps_of_the_registers():
 def test_heading_roll_and_pitch_are_turns_about_z_x_and_y_in_that_order(heading, roll, pitch):
     turn = Rotation.from_euler("ZXY", [heading, roll, pitch], degrees=True)
     values = _readings(_body(turn), duration_s=3.0, mode="ndof").values
-    found = np.degrees(values[:, 4:7]) - [heading, roll, pitch]
-    found = ((found + 180) % 360 - 180).mean(axis=0)
+    result = np.degrees(values[:, 4:7]) - [heading, roll, pitch]
+    result = ((result + 180) % 360 - 180).mean(axis=0)
     askew = 1.5 / np.cos(np.radians(roll))  # 0.3 deg askew; steep roll magnifies its part in the other two
-    np.testing.assert_allclose(found, 0.0, atol=askew)
+    np.testing.assert_allclose(result, 0.0, atol=askew)
     assert values[:, HEADING].min() >= 0.0
     assert values[:, HEADING].max() < 2 * np.pi + 1e-9
 

@@ -51,7 +51,7 @@ def test_force_is_made_of_whole_counts_that_are_kept():
 
 def test_without_calibration_there_are_counts_alone():
     made = stage(calibration=None, limits={})
-    assert [one.name for one in made.channels] == ["displacement", "counts"]
+    assert [channel.name for channel in made.channels] == ["displacement", "counts"]
 
 
 @pytest.mark.parametrize("force_n", [50.0, -50.0])

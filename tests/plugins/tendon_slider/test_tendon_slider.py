@@ -37,11 +37,11 @@ def test_it_arranges_and_moves_no_joint(bench):
 
 
 def test_it_goes_into_the_state_that_a_condition_names_and_its_switches_verify_it(bench):
-    for state, place in (("short", 1.0), ("long", 0.0)):
+    for state, position_m in (("short", 1.0), ("long", 0.0)):
         bench.driver.arrange({"beam": state, "f": 0.3})
         assert not bench.driver.arrived()
         bench.wait_until(bench.driver.arrived)
-        assert bench.events("slider")[-1]["place"] == pytest.approx(place, abs=1e-3)
+        assert bench.events("slider")[-1]["place"] == pytest.approx(position_m, abs=1e-3)
         assert bench.driver.health().ok
 
 
@@ -97,11 +97,11 @@ def test_a_state_that_it_does_not_have_is_refused_before_anything_moves(bench):
 
 
 @pytest.mark.parametrize(
-    ("keys", "said"),
+    ("keys", "message"),
     [({"states": ["a", "a"]}, "both"), ({"state": "shrt"}, "none of states"), ({"pulled_us": 1005}, "10 us")],
 )
-def test_settings_that_contradict_themselves_are_refused(keys, said):
-    with pytest.raises(ValueError, match=said):
+def test_settings_that_contradict_themselves_are_refused(keys, message):
+    with pytest.raises(ValueError, match=message):
         TendonSliderSettings.model_validate({**KEYS, **keys})
 
 

@@ -145,13 +145,13 @@ PACKAGES = st.lists(st.tuples(KINDS, st.binary(max_size=80)), max_size=12)
 @given(PACKAGES, st.lists(st.integers(1, 20), min_size=1, max_size=40))
 def test_chunking_does_not_change_what_the_driver_reads(packages, cuts):
     data = b"".join(wire.encode(kind, body) for kind, body in packages)
-    stream, found, place = PackageStream(), [], 0
+    stream, result, index = PackageStream(), [], 0
     for cut in cuts * (len(data) + 1):
-        if place >= len(data):
+        if index >= len(data):
             break
-        found += stream.feed(data[place : place + cut])
-        place += cut
-    assert found == [Package(*one) for one in packages]
+        result += stream.feed(data[index : index + cut])
+        index += cut
+    assert result == [Package(*package) for package in packages]
     assert not stream.broken
 
 
@@ -197,9 +197,9 @@ def test_driver_and_emulator_agree_on_every_type(types, data):
     small = st.integers(0, 255)
     values = []
     for kind in types:
-        one = finite if kind in ("DOUBLE", "VECTOR3D", "VECTOR6D") else small
+        numbers = finite if kind in ("DOUBLE", "VECTOR3D", "VECTOR6D") else small
         size = {"VECTOR3D": 3, "VECTOR6D": 6, "VECTOR6INT32": 6}.get(kind, 1)
-        drawn = data.draw(st.lists(one, min_size=size, max_size=size))
+        drawn = data.draw(st.lists(numbers, min_size=size, max_size=size))
         values.append(drawn[0] if size == 1 else tuple(drawn))
     names = [f"n{number}" for number in range(len(types))]
     recipe = Recipe(7, names, types)
@@ -250,7 +250,7 @@ def test_only_finite_numbers_ever_reach_a_program(pose, speed, watchdog_s):
 
     import math
 
-    if not all(math.isfinite(one) for one in (*pose, speed)):
+    if not all(math.isfinite(number) for number in (*pose, speed)):
         with pytest.raises(ValueError, match="in a program"):
             made()
         return
@@ -278,8 +278,8 @@ def test_garbage_never_crashes_the_emulators_script_reader(lines, cut):
     data = b"\n".join(lines) + b"\n"
     whole = ScriptReader().feed(data)
     reader, pieces = ScriptReader(), []
-    for place in range(0, len(data), cut):
-        pieces += reader.feed(data[place : place + cut])
+    for index in range(0, len(data), cut):
+        pieces += reader.feed(data[index : index + cut])
     assert pieces == whole
     for heard in whole:
         if isinstance(heard, Program):
@@ -299,11 +299,11 @@ def test_complaints_are_picked_out_of_the_primary_port():
     warning = message(6, struct.pack("!iiiII", 55, 0, 2, 0, 0) + b"fan")
     label = message(1, bytes(8))
     data = package(16, bytes(40)) + exception + warning + label + fault
-    found = []
+    results = []
     stream = PrimaryStream()
-    for place in range(len(data)):
-        found += stream.feed(data[place : place + 1])
-    assert found == ["line 3, column 7: syntax error", "C204A3 joint limit"]
+    for index in range(len(data)):
+        results += stream.feed(data[index : index + 1])
+    assert results == ["line 3, column 7: syntax error", "C204A3 joint limit"]
     assert PrimaryStream().feed(package(20, b"\x00\x01")) == []
     lost = PrimaryStream()
     assert lost.feed(b"\x00\x00\x00\x01\x10" + exception) == []

@@ -251,9 +251,9 @@ def test_every_other_stop_is_named_with_the_way_out(bench, fault, words, next_th
     begun_s = bench.clock.now()
     arm = moving(bench)
     bench.inject(fault)
-    said = error_of(bench, arm.read)
-    assert words in said
-    assert next_thing in said
+    error = error_of(bench, arm.read)
+    assert words in error
+    assert next_thing in error
     bench.wait_for("still", after_s=begun_s)
     bench.clear(fault)
     arm.safe_stop()

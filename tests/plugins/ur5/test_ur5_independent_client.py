@@ -48,11 +48,11 @@ def test_an_independent_client_reads_the_emulated_arm():
             [sys.executable, "-c", CLIENT, address], capture_output=True, text=True, timeout=30, check=False
         )
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout.splitlines()[-1])
-    assert told["pose"] == pytest.approx([-0.35, -0.4, 0.3, 0.0, 3.14, 0.0], abs=1e-3)
-    assert 0.2 < told["seconds"] < 5.0
-    assert (told["scaling"], told["robot_mode"], told["safety_mode"]) == (1.0, 7, 1)
-    assert "RUNNING" in told["robotmode"]
-    assert "5.11.1" in told["version"]
-    assert told["serial"].isdigit()
-    assert told["running"] is False
+    loads = json.loads(done.stdout.splitlines()[-1])
+    assert loads["pose"] == pytest.approx([-0.35, -0.4, 0.3, 0.0, 3.14, 0.0], abs=1e-3)
+    assert 0.2 < loads["seconds"] < 5.0
+    assert (loads["scaling"], loads["robot_mode"], loads["safety_mode"]) == (1.0, 7, 1)
+    assert "RUNNING" in loads["robotmode"]
+    assert "5.11.1" in loads["version"]
+    assert loads["serial"].isdigit()
+    assert loads["running"] is False

@@ -117,7 +117,7 @@ def test_a_position_is_found_again_in_the_pose_it_stands_for(origin, direction, 
 
 
 @given(VECTOR, VECTOR)
-def test_the_angle_between_two_orientations_is_that_of_their_rotation(one, other):
-    line = Line.through((0, 0, 0, *one), (1, 0, 0))
-    expected = (Rotation.from_rotvec(one).inv() * Rotation.from_rotvec(other)).magnitude()
+def test_the_angle_between_two_orientations_is_that_of_their_rotation(first, other):
+    line = Line.through((0, 0, 0, *first), (1, 0, 0))
+    expected = (Rotation.from_rotvec(first).inv() * Rotation.from_rotvec(other)).magnitude()
     assert line.turned_rad(np.array([0, 0, 0, *other])) == pytest.approx(expected, abs=1e-6)

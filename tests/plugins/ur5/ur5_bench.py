@@ -74,19 +74,19 @@ def since(bench: EmulatedDevice, event: str, time_s: float) -> list[dict[str, An
 
 def error_of(bench: EmulatedDevice, look: Any, within_s: float = 5.0) -> str:
     """Return the words of the first error that a look at the arm raises."""
-    found: list[str] = []
+    results: list[str] = []
 
     def raises() -> bool:
         try:
             look()
         except DeviceError as error:
-            found.append(str(error))
-        return bool(found)
+            results.append(str(error))
+        return bool(results)
 
     bench.wait_until(raises, within_s)
-    assert found[0].startswith("device arm: ")
-    assert "\n  " in found[0], "an error says what to do next"
-    return found[0]
+    assert results[0].startswith("device arm: ")
+    assert "\n  " in results[0], "an error says what to do next"
+    return results[0]
 
 
 def works_again(bench: EmulatedDevice) -> bool:

@@ -158,11 +158,11 @@ def test_a_stored_bench_continues_to_the_last_bit():
 def test_effects_hide_in_the_beam_in_the_pusher_and_in_the_cell(effect, site):
     plain = pushed(bench(), [0.0, 0.02, 0.0], [0.0, 20.0, 40.0], [10.0, 30.0])[:, 0]
     made = bench(hide=[{"effect": effect, "site": site}])
-    assert [one["effect"] for one in made.truth()["hidden"]] == [effect]
+    assert [hidden["effect"] for hidden in made.truth()["hidden"]] == [effect]
     assert (
         np.max(np.abs(pushed(made, [0.0, 0.02, 0.0], [0.0, 20.0, 40.0], [10.0, 30.0])[:, 0] - plain)) > 1e-3
     )
-    assert site in {place.name for place in made.places}
+    assert site in {location.name for location in made.places}
 
 
 def test_errors_of_parameters_are_those_that_were_asked_for():

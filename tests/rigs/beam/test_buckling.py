@@ -29,11 +29,11 @@ def bench(seed=0, **keys):
 @pytest.mark.parametrize("beam", ["long", "short", "steel"])
 @pytest.mark.parametrize("way", [-0.05, 0.05])
 def test_the_limit_of_a_beam_is_read_off_whatever_its_loop(beam, way):
-    found = buckling_limit(*there_and_back(bench(beam=beam), way), LEVER_M)
+    limit = buckling_limit(*there_and_back(bench(beam=beam), way), LEVER_M)
     equal, opposite = LIMITS_N_M[beam]
-    assert found.reached
-    assert found.sense == ("opposite" if way > 0 else "equal")
-    assert found.torque_n_m == pytest.approx(opposite if way > 0 else equal, rel=0.01)
+    assert limit.reached
+    assert limit.sense == ("opposite" if way > 0 else "equal")
+    assert limit.torque_n_m == pytest.approx(opposite if way > 0 else equal, rel=0.01)
 
 
 @pytest.mark.parametrize("beam", ["long", "short", "polyester", "steel"])
@@ -41,15 +41,15 @@ def test_the_model_file_knows_every_beam_of_the_bench(beam):
     force, way_m = there_and_back(bench(beam=beam, as_modelled=True), 0.05)
     model = load_model("buckling-beam")
     time_s = np.arange(len(force)) / 10.0
-    told = simulate(model, time_s, way_m[:, None], condition={"beam": beam}).outputs[:, 0]
-    np.testing.assert_allclose(told, force, atol=0.01 * np.abs(force).max())
+    message = simulate(model, time_s, way_m[:, None], condition={"beam": beam}).outputs[:, 0]
+    np.testing.assert_allclose(message, force, atol=0.01 * np.abs(force).max())
 
 
 @pytest.mark.parametrize("way", [-0.004, 0.02])
 def test_a_beam_that_was_not_bent_far_enough_has_not_reached_its_limit(way):
-    found = buckling_limit(*there_and_back(bench(), way), LEVER_M)
-    assert not found.reached
-    assert found.torque_n_m == pytest.approx(2.0 * abs(way) / LEVER_M, rel=0.05)
+    limit = buckling_limit(*there_and_back(bench(), way), LEVER_M)
+    assert not limit.reached
+    assert limit.torque_n_m == pytest.approx(2.0 * abs(way) / LEVER_M, rel=0.05)
 
 
 def test_a_snap_costs_a_beam_a_part_of_both_limits_and_a_new_one_has_them_again():
@@ -112,10 +112,10 @@ def test_the_fit_says_that_the_arc_holds_and_finds_the_published_limits(seed, tm
             own = trials[(trials["beam"] == beam) & (np.sign(trials["reach"]) == sign)]
             assert len(own) == 3
             assert own["limit"].mean() == pytest.approx(limit, rel=0.03)
-    found = labrun.fit(run)
-    assert found.parameters["opposite_by_arc"].value == pytest.approx(0.85, rel=0.03)
-    assert found.parameters["opposite_by_chord"].value == pytest.approx(0.23, rel=0.04)
-    low, high = found.parameters["opposite_limit"].ci95
+    result = labrun.fit(run)
+    assert result.parameters["opposite_by_arc"].value == pytest.approx(0.85, rel=0.03)
+    assert result.parameters["opposite_by_chord"].value == pytest.approx(0.23, rel=0.04)
+    low, high = result.parameters["opposite_limit"].ci95
     assert low < 0.76 < high
-    assert any("arc, r theta, holds" in text for text in found.findings)
-    assert {row[0] for row in found.tables[0].rows} == {"long", "short"}
+    assert any("arc, r theta, holds" in text for text in result.findings)
+    assert {row[0] for row in result.tables[0].rows} == {"long", "short"}

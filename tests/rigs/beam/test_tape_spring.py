@@ -73,11 +73,11 @@ def test_a_millimetre_of_polyester_has_the_published_range_of_equal_limits():
 
 
 def test_the_shipped_limits_beside_theory_the_short_beam_is_what_it_cannot_describe(tmp_path):
-    found = labrun.compare("beam-limits", tolerance="15%", results=tmp_path).comparison
-    assert not found.within
-    by_beam = {(point.condition["beam"], point.channel): point for point in found.points}
+    comparison = labrun.compare("beam-limits", tolerance="15%", results=tmp_path).comparison
+    assert not comparison.within
+    by_beam = {(point.condition["beam"], point.channel): point for point in comparison.points}
     assert by_beam["long", "equal_limit"].relative < 0.01
     arc = of_equal_limit(0.1)
     assert by_beam["long", "opposite_limit"].predicted == pytest.approx(arc.opposite_limit_n_m, rel=1e-3)
     assert by_beam["long", "opposite_limit"].relative == pytest.approx(0.122, abs=0.005)
-    assert found.worst.condition["beam"] == "short"
+    assert comparison.worst.condition["beam"] == "short"

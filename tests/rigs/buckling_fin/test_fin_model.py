@@ -15,7 +15,7 @@ WING = fin_model("wing", fins=1)
 
 
 def column(model, outputs, name):
-    return outputs[:, [one.name for one in model.outputs].index(name)]
+    return outputs[:, [output.name for output in model.outputs].index(name)]
 
 
 def strokes(time_s, amplitude_deg, frequency_hz, phase=0.0):
@@ -25,7 +25,7 @@ def strokes(time_s, amplitude_deg, frequency_hz, phase=0.0):
 def plates(model, outputs, values):
     """Return where both plates are, from the angles that the model gives, shape (2, samples, 2)."""
     x, y, yaw = (column(model, outputs, name) for name in ("x", "y", "yaw"))
-    found = []
+    results = []
     for number, side in ((1, 1.0), (2, -1.0)):
         theta = column(model, outputs, f"base_{number}")
         phi = theta + column(model, outputs, f"bend_{number}")
@@ -33,19 +33,19 @@ def plates(model, outputs, values):
         aside = side * (
             0.5 * values["motor_spacing"] + values["link"] * np.cos(theta) + values["arm"] * np.cos(phi)
         )
-        found.append(
+        results.append(
             np.column_stack([
                 x + np.cos(yaw) * ahead - np.sin(yaw) * aside,
                 y + np.sin(yaw) * ahead + np.cos(yaw) * aside,
             ])
         )  # fmt: skip
-    return np.array(found)
+    return np.array(results)
 
 
 def test_without_water_and_mount_the_centre_of_mass_stays_where_it_is_whatever_the_servos_do():
     time_s = np.arange(0.0, 2.0, 0.002)
-    told = np.column_stack([strokes(time_s, 50, 1.0), strokes(time_s, 30, 1.7, 1.0)])
-    outputs = simulate(FREE, time_s, told, parameters=NOTHING_HOLDS, substeps=4).outputs
+    message = np.column_stack([strokes(time_s, 50, 1.0), strokes(time_s, 30, 1.7, 1.0)])
+    outputs = simulate(FREE, time_s, message, parameters=NOTHING_HOLDS, substeps=4).outputs
     mass = 0.0245
     body = np.column_stack([column(FREE, outputs, "x"), column(FREE, outputs, "y")])
     centre = (body + mass * plates(FREE, outputs, NOTHING_HOLDS).sum(axis=0)) / (1.0 + 2 * mass)
@@ -56,9 +56,9 @@ def test_without_water_and_mount_the_centre_of_mass_stays_where_it_is_whatever_t
 
 def test_the_servos_work_is_the_gain_in_energy_and_what_the_hinges_take():
     time_s = np.arange(0.0, 1.0, 0.0005)
-    told = np.column_stack([strokes(time_s, 40, 1.5), strokes(time_s, 40, 1.5)])
+    message = np.column_stack([strokes(time_s, 40, 1.5), strokes(time_s, 40, 1.5)])
     values = NOTHING_HOLDS | {"equal_limit": 10.0, "opposite_limit": 10.0, "body_mass": 0.3}
-    outputs = simulate(FREE, time_s, told, parameters=values, substeps=2).outputs
+    outputs = simulate(FREE, time_s, message, parameters=values, substeps=2).outputs
     mass, k, c = 0.0245, 0.506, 0.0065
     rates = {name: np.gradient(column(FREE, outputs, name), time_s) for name in ("x", "y", "yaw", "bend_1")}
     speeds = np.gradient(plates(FREE, outputs, values), time_s, axis=1)
@@ -96,8 +96,8 @@ def test_a_wing_swings_as_another_formulation_and_another_integrator_say():
     time_s = np.arange(0.0, 5.0, 0.01)
     theirs = solve_ivp(rates, (0, 5), [0.0] * 4, t_eval=time_s[:-1], rtol=1e-9, atol=1e-10, max_step=0.01).y
     fine_s = np.arange(0.0, 5.0, 0.001)
-    told = math.radians(66) * np.sin(2.5 * fine_s)
-    ours = simulate(WING, fine_s, np.column_stack([told, 0 * told]), substeps=2).outputs[::10][:-1]
+    message = math.radians(66) * np.sin(2.5 * fine_s)
+    ours = simulate(WING, fine_s, np.column_stack([message, 0 * message]), substeps=2).outputs[::10][:-1]
     bend = column(WING, ours, "bend_1")
     assert bend.min() < -low / k, "it buckles"
     assert np.abs(bend - (theirs[2] - theirs[0])).max() < 2e-4
@@ -114,8 +114,8 @@ def test_a_wing_swings_as_another_formulation_and_another_integrator_say():
 )
 def test_the_wing_in_water_makes_the_simulated_extremes_of_table_7_2(frequency_hz, least, most, buckles):
     time_s = np.arange(0.0, 3 / frequency_hz, 0.004)
-    told = strokes(time_s, 66, frequency_hz)
-    outputs = simulate(WING, time_s, np.column_stack([told, 0 * told]), substeps=4).outputs
+    message = strokes(time_s, 66, frequency_hz)
+    outputs = simulate(WING, time_s, np.column_stack([message, 0 * message]), substeps=4).outputs
     settled = outputs[time_s > 1 / frequency_hz]
     # the frame feels what the servo turns with, the other way round
     torque = -column(WING, settled, "servo_1")
@@ -126,9 +126,9 @@ def test_the_wing_in_water_makes_the_simulated_extremes_of_table_7_2(frequency_h
 
 def test_the_mount_of_a_wing_without_distance_to_its_axis_feels_what_its_servo_turns_with():
     time_s = np.arange(0.0, 5.0, 0.005)
-    told = strokes(time_s, 66, 0.3)
+    message = strokes(time_s, 66, 0.3)
     outputs = simulate(
-        WING, time_s, np.column_stack([told, 0 * told]), substeps=4, parameters={"motor_spacing": 0.0}
+        WING, time_s, np.column_stack([message, 0 * message]), substeps=4, parameters={"motor_spacing": 0.0}
     ).outputs
     # yaw is positive to the left, a fin's angle to the front: the left one's is the other way round
     assert column(WING, outputs, "torque_z") == pytest.approx(column(WING, outputs, "servo_1"), abs=1e-12)

@@ -36,13 +36,13 @@ def flapped(made, motion, signals=("force_x", "force_y", "torque_z"), time_s=TIM
 
 def test_the_bench_feels_what_its_model_says():
     felt = flapped(bench(as_modelled=True), stroke())[:, 2]
-    told = np.interp(np.arange(0, 10, 0.001), stroke().time_s, stroke().angle_rad[:, 0])
+    message = np.interp(np.arange(0, 10, 0.001), stroke().time_s, stroke().angle_rad[:, 0])
     keys = {"servo_frequency": 60.0, "servo_damping": 1.0}
-    said = simulate(
-        wing("water"), np.arange(0, 10, 0.001), told[:, None], parameters=keys, condition={"beams": 1, "wings": 1},
+    text = simulate(
+        wing("water"), np.arange(0, 10, 0.001), message[:, None], parameters=keys, condition={"beams": 1, "wings": 1},
         substeps=1,
     ).outputs[::10, 2]  # fmt: skip
-    assert felt == pytest.approx(said, abs=2e-4)
+    assert felt == pytest.approx(text, abs=2e-4)
     assert felt.min() < -0.4
 
 
@@ -51,23 +51,23 @@ def test_the_model_of_the_gap_is_the_bench_with_nothing_hidden_but_for_noise(tmp
     made = run("wing-water", dry_run=True, overrides=keys, seed=3, hide=["none"], results=tmp_path)
     asked = ask(made.run, None, workspace=shipped_experiments().parent)
     (trial,) = asked.dataset.trials
-    found = simulate(asked.model, trial.time_s, trial.inputs, condition=trial.condition, substeps=8)
-    _, _, torque_n_m, link_rad, plate_rad = np.std(trial.outputs - found.outputs, axis=0)
+    result = simulate(asked.model, trial.time_s, trial.inputs, condition=trial.condition, substeps=8)
+    _, _, torque_n_m, link_rad, plate_rad = np.std(trial.outputs - result.outputs, axis=0)
     assert torque_n_m < 0.3e-3  # noise of the sensor: 0.2e-3; with steps and frames of the servo it is 1e-3
     assert max(link_rad, plate_rad) < 1.6e-3  # noise of the cameras: 1.5e-3 in orientation
 
 
 def test_two_mirrored_wings_push_ahead_and_nothing_else_is_left():
-    one, two = (flapped(bench(wings=wings), stroke())[500:] for wings in (1, 2))
-    assert two[:, 0] == pytest.approx(2 * one[:, 0])
+    first, two = (flapped(bench(wings=wings), stroke())[500:] for wings in (1, 2))
+    assert two[:, 0] == pytest.approx(2 * first[:, 0])
     assert np.abs(two[:, 1:]).max() == 0.0
     assert two[:500, 0].mean() > 0.1
-    assert one[:500, 0].mean() > 0.05
+    assert first[:500, 0].mean() > 0.05
 
 
 def test_two_beams_recover_with_more_torque_than_one():
-    one, two = (flapped(bench(beams=beams), stroke())[500:, 2] for beams in (1, 2))
-    assert two.max() > 1.5 * one.max()
+    first, two = (flapped(bench(beams=beams), stroke())[500:, 2] for beams in (1, 2))
+    assert two.max() > 1.5 * first.max()
 
 
 def test_the_short_beam_does_not_buckle_in_air_where_the_long_one_does():
@@ -111,7 +111,7 @@ def test_a_person_mounts_other_beams_and_what_is_not_to_be_had_is_refused():
 )
 def test_effects_hide_in_hinge_plate_servo_and_sensor(effect, site):
     plain, hiding = bench(), bench(hide=[{"effect": effect, "site": site}])
-    assert [one["effect"] for one in hiding.truth()["hidden"]] == [effect]
+    assert [hidden["effect"] for hidden in hiding.truth()["hidden"]] == [effect]
     assert np.abs(flapped(plain, stroke()) - flapped(hiding, stroke()))[:, 2].max() > 1e-3
 
 
@@ -141,14 +141,14 @@ def test_work_in_air_is_that_of_the_table_and_worth_its_effort_where_the_beam_bu
     beams, short, frequency_hz, net_j, buckles
 ):
     time_s = np.arange(0.0, 8 / frequency_hz, 0.001)
-    told = math.radians(66) * 2 / math.pi * np.arcsin(np.sin(2 * math.pi * frequency_hz * time_s))
+    message = math.radians(66) * 2 / math.pi * np.arcsin(np.sin(2 * math.pi * frequency_hz * time_s))
     model = load_model(
         shipped_experiments() / "models" / "wing-air.toml"
     )  # its angle is late, as the cameras'
-    found = simulate(
-        model, time_s, told[:, None], condition={"beams": beams, "short": short}, substeps=1
+    outputs = simulate(
+        model, time_s, message[:, None], condition={"beams": beams, "short": short}, substeps=1
     ).outputs
-    torque, angle = -found[:, 2], found[:, 3]
+    torque, angle = -outputs[:, 2], outputs[:, 3]
     last = time_s >= 4 / frequency_hz
     way, torque = np.abs(np.gradient(angle[last])), torque[last]
     net, total = np.sum(torque * way) / 4, np.sum(np.abs(torque) * way) / 4

@@ -62,9 +62,9 @@ def test_two_mirrored_fins_in_phase_push_ahead_only():
 
 def test_on_a_mount_that_does_not_yield_the_fins_cancel_whatever_their_phase():
     stiff = {"mount_n_m": 1e5, "yaw_n_m_rad": 1e3, "mount_n_s_m": 100.0, "yaw_n_m_s": 1.0}
-    one = abs(mean_load(rig(**stiff))[1])
+    load = abs(mean_load(rig(**stiff))[1])
     for phase_deg in (90.0, 330.0):
-        assert abs(mean_load(rig(**stiff), phase_deg=phase_deg)[1]) < 0.1 * one
+        assert abs(mean_load(rig(**stiff), phase_deg=phase_deg)[1]) < 0.1 * load
 
 
 def test_on_the_arm_an_undulation_pushes_more_than_one_fin_does():
@@ -79,15 +79,15 @@ def test_on_the_arm_an_undulation_pushes_more_than_one_fin_does():
 def let_loose(alpha_deg, second_deg, f, phase_deg, platform):
     """Return how fast the swimmer goes under a platform with these areas, m/s, once it is up to its speed."""
     held = swimmer(GaitRigSettings(), short=True)
-    values = dict(zip((one.name for one in held.parameters), held.values.tolist(), strict=True))
+    values = dict(zip((parameter.name for parameter in held.parameters), held.values.tolist(), strict=True))
     mount = dict.fromkeys(("mount_stiffness", "mount_damping", "yaw_stiffness", "yaw_damping"), 0.0)
     free = fin_model("free-swimmer", fins=2, free=("x", "y", "yaw")).with_values(
         {**values, **mount, **platform}
     )
     time_s = np.arange(0.0, 20.0, 2.5e-4)  # no mount holds the fins' recoil: finer than on the arm
     turn = 2 * np.pi * f * time_s
-    told = np.column_stack([alpha_deg * np.sin(turn), second_deg * np.sin(turn + np.radians(phase_deg))])
-    seen = Stepper(free, step_s=2.5e-4).advance(np.radians(told))
+    message = np.column_stack([alpha_deg * np.sin(turn), second_deg * np.sin(turn + np.radians(phase_deg))])
+    seen = Stepper(free, step_s=2.5e-4).advance(np.radians(message))
     half = len(time_s) // 2
     return np.hypot(*(seen[-1, 3:5] - seen[half, 3:5])) / (time_s[-1] - time_s[half])
 
@@ -126,7 +126,7 @@ def test_what_is_stuck_stays_long():
 )
 def test_effects_hide_in_hinges_plates_servos_and_sensor(effect, site):
     plain, hiding = rig(), rig(hide=[{"effect": effect, "site": site}])
-    loads = [mean_load(one, phase_deg=60.0, cycles=4) for one in (plain, hiding)]
+    loads = [mean_load(other, phase_deg=60.0, cycles=4) for other in (plain, hiding)]
     assert hiding.truth()["hidden"][0]["site"] == site
     assert np.abs(loads[0] - loads[1]).max() > 1e-5
 

@@ -69,14 +69,14 @@ def test_the_sensor_feels_the_rail_as_the_model_says_wherever_its_friction_comes
     # without servo, frames and cameras: the rig was told what its shafts do
     model = replace(swimmer_on_rail(), effects=()).with_values({**DESIGN, "servo_frequency": 300.0})
     time_s = np.arange(0, 4, 0.004)
-    told = (BACK_RAD + STROKE_RAD * np.sin(2 * np.pi * HZ * time_s))[:, None]
+    message = (BACK_RAD + STROKE_RAD * np.sin(2 * np.pi * HZ * time_s))[:, None]
     start = model.initial_state({}, first={"told": BACK_RAD, "x": 0.0})
     rubs = friction.attach("rail", Scale(), **hidden["values"])
-    found = simulate(model, time_s, told, initial_state=start, effects=[rubs], substeps=8)
+    result = simulate(model, time_s, message, initial_state=start, effects=[rubs], substeps=8)
     begins = seen(rig, "position", 3.0)[0]
-    assert np.abs(seen(rig, "position", *(3.0 + time_s)) - begins - found.outputs[:, 0]).max() < 0.005
-    assert np.std(seen(rig, "force_x", *(3.0 + time_s)) - found.outputs[:, 1]) < 0.05 * np.std(
-        found.outputs[:, 1]
+    assert np.abs(seen(rig, "position", *(3.0 + time_s)) - begins - result.outputs[:, 0]).max() < 0.005
+    assert np.std(seen(rig, "force_x", *(3.0 + time_s)) - result.outputs[:, 1]) < 0.05 * np.std(
+        result.outputs[:, 1]
     )
 
 
@@ -86,8 +86,8 @@ def test_the_model_of_the_gap_is_the_rig_with_nothing_hidden_but_for_noise(tmp_p
     asked = ask(made.run, None, workspace=shipped_experiments().parent)
     for trial in asked.dataset.trials:
         start = asked.model.initial_state(trial.condition, first={"told": trial.inputs[0, 0], "x": 0.0})
-        found = simulate(asked.model, trial.time_s, trial.inputs, initial_state=start, substeps=8)
-        way_m, force_n = np.sqrt(np.mean(np.square(trial.outputs - found.outputs), axis=0))
+        result = simulate(asked.model, trial.time_s, trial.inputs, initial_state=start, substeps=8)
+        way_m, force_n = np.sqrt(np.mean(np.square(trial.outputs - result.outputs), axis=0))
         assert way_m < 5e-4  # noise of the cameras: 1e-4
         assert force_n < 0.035  # noise of water and sensor: 0.028
 
@@ -118,15 +118,15 @@ def test_a_rig_that_is_restored_goes_on_identically():
 
 def test_one_limb_rowing_turns_and_both_do_not():
     model = free_swimmer().with_values(DESIGN)
-    yaw = [one.name for one in model.outputs].index("yaw")
+    yaw = [output.name for output in model.outputs].index("yaw")
     time_s = np.linspace(0, 4, 2001)
     both = BACK_RAD + STROKE_RAD * np.sin(2 * np.pi * HZ * time_s)
-    for told, turns in ((np.full_like(both, BACK_RAD), True), (both, False)):
+    for message, turns in ((np.full_like(both, BACK_RAD), True), (both, False)):
         start = np.zeros(len(model.states))
         start[[6, 10]] = BACK_RAD
-        found = simulate(model, time_s, np.column_stack([both, told]), initial_state=start, substeps=2)
-        assert found.finite
-        assert (abs(found.outputs[-1, yaw]) > np.radians(10)) == turns
+        result = simulate(model, time_s, np.column_stack([both, message]), initial_state=start, substeps=2)
+        assert result.finite
+        assert (abs(result.outputs[-1, yaw]) > np.radians(10)) == turns
 
 
 SHORT = ("cmaes.population=4", "cmaes.stop.iterations=2", "leaders.count=1", "leaders.repeats=2")
@@ -136,9 +136,9 @@ def test_candidates_that_leave_the_tank_are_stopped_and_the_search_goes_on(tmp_p
     # the tank ends where nearly every candidate gets
     overrides = (*SHORT, 'trial.within={"cameras.swimmer_x" = [-0.1, 0.25]}')
     result = run("rowing", dry_run=True, overrides=overrides, seed=2, results=tmp_path)
-    with_reason = [one for one in open_run(result.run).outcomes if one.status == "rejected"]
+    with_reason = [outcome for outcome in open_run(result.run).outcomes if outcome.status == "rejected"]
     assert with_reason
-    assert all("is outside -0.1 ... 0.25: stopped" in one.reason for one in with_reason)
+    assert all("is outside -0.1 ... 0.25: stopped" in outcome.reason for outcome in with_reason)
     assert result.best is not None
     assert result.best.value < 0.26
 
@@ -147,28 +147,30 @@ def test_a_guard_holds_while_the_search_looks_around_and_not_when_its_winner_is_
     hard = 'cmaes.guard.limits={"wrench.force_x" = [-4, 1.0]}'
     result = run("rowing", dry_run=True, overrides=(*SHORT, hard), seed=1, results=tmp_path)
     measured = open_run(result.run)
-    for one in measured.outcomes:
-        peak = measured.signals(one.index)["wrench"].tared().column("force_x").max()
-        if one.role == "measure" and one.status == "done":
+    for outcome in measured.outcomes:
+        peak = measured.signals(outcome.index)["wrench"].tared().column("force_x").max()
+        if outcome.role == "measure" and outcome.status == "done":
             assert peak <= 1.0
-        if one.role in ("fresh", "confirm"):
-            assert one.status == "done"
+        if outcome.role in ("fresh", "confirm"):
+            assert outcome.status == "done"
 
 
 def test_the_moment_in_a_beam_is_guarded_by_its_bend(tmp_path):
     soft = 'cmaes.guard.limits={"cameras.bend" = [-2, 0.3]}'
     result = run("rowing", dry_run=True, overrides=(*SHORT, soft), seed=1, results=tmp_path)
     measured = open_run(result.run)
-    assert any("rad is outside -2 ... 0.3: stopped" in one.reason for one in measured.outcomes)
-    for one in measured.outcomes:
-        if one.status == "done" and one.role == "measure":
-            assert measured.signals(one.index)["cameras"].column("bend").max() <= 0.3
+    assert any("rad is outside -2 ... 0.3: stopped" in outcome.reason for outcome in measured.outcomes)
+    for outcome in measured.outcomes:
+        if outcome.status == "done" and outcome.role == "measure":
+            assert measured.signals(outcome.index)["cameras"].column("bend").max() <= 0.3
 
 
 def test_cameras_see_the_beam_bend_as_far_as_its_moment_says():
     rig = rowed(rail="locked")
-    told = seen(rig, "link_qz", 4.0)[0], seen(rig, "link_qw", 4.0)[0]
-    assert -2 * np.arctan2(*told) == pytest.approx(BACK_RAD + STROKE_RAD * np.sin(2 * np.pi * HZ), abs=0.35)
+    message = seen(rig, "link_qz", 4.0)[0], seen(rig, "link_qw", 4.0)[0]
+    assert -2 * np.arctan2(*message) == pytest.approx(
+        BACK_RAD + STROKE_RAD * np.sin(2 * np.pi * HZ), abs=0.35
+    )
     times_s = np.arange(5.0, 7.0, 0.005)
     link, plate = (
         -2 * np.arctan2(seen(other, f"{part}_qz", *times_s), seen(other, f"{part}_qw", *times_s))
@@ -183,7 +185,7 @@ def test_cameras_see_the_beam_bend_as_far_as_its_moment_says():
 def test_no_candidate_goes_beyond_a_guarded_joint(tmp_path):
     tight = "cmaes.guard.limits={left = [-100, 0]}"
     result = run("rowing", dry_run=True, overrides=(*SHORT, tight), seed=1, results=tmp_path)
-    for one in open_run(result.run).outcomes:
-        if one.role == "measure":
-            assert one.condition["beta"] - one.condition["alpha"] >= -100
-            assert one.condition["beta"] + one.condition["alpha"] <= 0
+    for outcome in open_run(result.run).outcomes:
+        if outcome.role == "measure":
+            assert outcome.condition["beta"] - outcome.condition["alpha"] >= -100
+            assert outcome.condition["beta"] + outcome.condition["alpha"] <= 0

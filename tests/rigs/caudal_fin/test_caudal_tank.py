@@ -46,7 +46,7 @@ def test_the_best_gait_of_a_coarse_scan_is_the_published_one_and_most_gaits_push
     assert (a, b) == (60, 0)
     assert f == pytest.approx(1.4)
     assert thrust == pytest.approx(0.547, rel=0.03)
-    assert np.mean([one[0] < 0 for one in scan]) > 0.5
+    assert np.mean([pair[0] < 0 for pair in scan]) > 0.5
 
 
 @pytest.mark.parametrize("amplitude_deg", [20, 40, 60])
@@ -76,14 +76,14 @@ def test_an_amplitude_step_shows_the_published_gain_lag_and_dead_time():
     def response(_, gain, lag_s, dead_s):
         return averaged(_fopdt(time_s, gain, lag_s, dead_s))
 
-    found = []
+    results = []
     for seed in range(8):
         tank = _tank(noise=1.0, seed=seed)
         tank.drive("tail", sine("tail", 40, 1.4, 10.0), 2.0)
         force = averaged(tank.observe(["force_x"], 2.0 + time_s)[:, 0])
-        found.append(curve_fit(response, time_s, force, p0=[0.3, 0.3, 0.2])[0])
-    mean = np.mean(found, axis=0)
-    uncertain = 3 * np.std(found, axis=0, ddof=1) / np.sqrt(len(found))
+        results.append(curve_fit(response, time_s, force, p0=[0.3, 0.3, 0.2])[0])
+    mean = np.mean(results, axis=0)
+    uncertain = 3 * np.std(results, axis=0, ddof=1) / np.sqrt(len(results))
     np.testing.assert_array_less(
         np.abs(mean - [0.00912 * 40, 0.34, 0.28]), uncertain + np.array([0.005, 0.03, 0.04])
     )
@@ -95,7 +95,7 @@ def test_force_oscillates_at_the_stroke_s_frequency_sideways_and_at_twice_forwar
     time_s = 11.0 + np.arange(0.0, 14 / 1.4, 0.005)
     force = tank.observe(FORCES, time_s)
     spectrum = np.abs(np.fft.rfft(force - force.mean(axis=0), axis=0))
-    assert [int(np.argmax(one)) for one in spectrum.T] == [28, 14]  # periods of 14 cycles
+    assert [int(np.argmax(column)) for column in spectrum.T] == [28, 14]  # periods of 14 cycles
 
 
 def test_the_sensor_above_feels_force_times_bar():

@@ -41,9 +41,9 @@ def test_the_model_file_knows_every_tail_of_the_table(fin, printed_n):
     tail = np.radians(60.0) * np.sin(2 * np.pi * 1.4 * time_s)[:, None]
     pushed = [
         simulate(
-            load_model("caudal-thrust"), time_s, tail, parameters={"entrained": 0.0}, condition=one
+            load_model("caudal-thrust"), time_s, tail, parameters={"entrained": 0.0}, condition=fin_settings
         ).outputs
-        for one in (fin, {})
+        for fin_settings in (fin, {})
     ]
     share = pushed[0][-100:, 0] / pushed[1][-100:, 0]
     np.testing.assert_allclose(share, printed_n / 0.551, rtol=1e-6)
@@ -57,7 +57,7 @@ def test_stiffer_and_larger_tails_push_harder():
 
 
 @pytest.mark.parametrize(
-    ("fin", "said"),
+    ("fin", "message"),
     [
         (("polyester", 3.0, "large"), "beyond Table 5.2"),
         (("acrylic", 1.0, "small"), "one acrylic tail"),
@@ -65,8 +65,8 @@ def test_stiffer_and_larger_tails_push_harder():
         (("polyester", 1.0, "huge"), "no 'huge' fin"),
     ],
 )
-def test_a_tail_that_the_table_does_not_reach_is_refused(fin, said):
-    with pytest.raises(SpecError, match=said):
+def test_a_tail_that_the_table_does_not_reach_is_refused(fin, message):
+    with pytest.raises(SpecError, match=message):
         thrust_n(*fin)
 
 

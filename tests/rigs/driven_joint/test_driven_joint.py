@@ -88,12 +88,12 @@ def test_without_damping_and_with_the_horn_still_energy_stays():
 def test_a_fast_motion_with_friction_is_that_of_an_independent_integration():
     time_s = np.linspace(0.0, 2.0, 150)
     times = np.arange(0.0, 2.0, 0.005)
-    told = 0.3 * np.sin(2 * np.pi * 2.0 * times) * np.clip(2 * times, 0, 1)
+    message = 0.3 * np.sin(2 * np.pi * 2.0 * times) * np.clip(2 * times, 0, 1)
 
-    rates = np.diff(told) / 0.005
+    rates = np.diff(message) / 0.005
 
     def slope(t, x):
-        base, base_rate = np.interp(t, times, told), rates[min(int(t / 0.005), len(rates) - 1)]
+        base, base_rate = np.interp(t, times, message), rates[min(int(t / 0.005), len(rates) - 1)]
         torque = STIFFNESS * (base - x[0]) + DAMPING * (base_rate - x[1]) - gravity(40.0) * math.sin(x[0])
         return [
             x[1],
@@ -102,8 +102,8 @@ def test_a_fast_motion_with_friction_is_that_of_an_independent_integration():
 
     solved = solve_ivp(slope, (0.0, 2.0), [0.0, 0.0], max_step=1e-3, rtol=1e-7, atol=1e-9, t_eval=time_s)
     made = bench(friction_mn_m=3.0, drag_n_m_s2=2e-6)
-    found = turned(made, told, times, time_s)[:, 0]
-    np.testing.assert_allclose(found, solved.y[0], atol=5e-4)
+    result = turned(made, message, times, time_s)[:, 0]
+    np.testing.assert_allclose(result, solved.y[0], atol=5e-4)
 
 
 def test_the_pose_that_the_cameras_see_is_that_of_the_angle():
@@ -128,7 +128,7 @@ def test_a_person_changes_payload_strip_and_orientation_and_nothing_jumps():
 
 
 @pytest.mark.parametrize(
-    ("condition", "said"),
+    ("condition", "message"),
     [
         ({"payload_g": 500}, "payload_g = 500"),
         ({"up": 0.5}, "up = 0.5"),
@@ -136,8 +136,8 @@ def test_a_person_changes_payload_strip_and_orientation_and_nothing_jumps():
         ({"payload_g": 190, "strip_mm": 10, "up": -1}, "tips over"),
     ],
 )
-def test_what_the_bench_cannot_do_is_refused(condition, said):
-    with pytest.raises(SpecError, match=said):
+def test_what_the_bench_cannot_do_is_refused(condition, message):
+    with pytest.raises(SpecError, match=message):
         bench().arrange(condition)
 
 
@@ -174,7 +174,7 @@ def test_effects_hide_in_the_joint_in_the_servo_and_in_the_cameras(effect, site)
     times = np.linspace(0.1, 3.0, 50)
     plain = turned(bench(), [0.0, 0.5, -0.5], [0.0, 1.0, 2.0], times)
     made = bench(hide=[{"effect": effect, "site": site}])
-    assert [one["effect"] for one in made.truth()["hidden"]] == [effect]
+    assert [hidden["effect"] for hidden in made.truth()["hidden"]] == [effect]
     change = np.abs(turned(made, [0.0, 0.5, -0.5], [0.0, 1.0, 2.0], times) - plain).max(axis=0)
     assert change.max() > 1e-3
     assert (change[1] > 1e-9) == (site in ("base", "horn"))

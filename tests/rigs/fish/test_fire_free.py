@@ -115,12 +115,12 @@ def test_the_one_who_puts_it_back_finds_it_at_rest_where_it_began():
 
 
 @pytest.mark.parametrize(
-    ("condition", "said"),
+    ("condition", "message"),
     [({"water": "sea"}, "no water 'sea'"), ({"caudal": "half"}, "no caudal 'half'")],
 )
-def test_what_the_fish_has_not_is_told(condition, said):
+def test_what_the_fish_has_not_is_told(condition, message):
     fish = FireFree({}, np.random.default_rng(0))
-    with pytest.raises(SpecError, match=said):
+    with pytest.raises(SpecError, match=message):
         fish.arrange(condition)
 
 

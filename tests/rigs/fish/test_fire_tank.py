@@ -80,9 +80,9 @@ def test_random_turning_gaits_hardly_turn_and_a_search_has_something_to_find():
 
 
 def test_two_different_gaits_turn_the_same_way_so_the_landscape_has_several_peaks():
-    one, other = (38, 40, 23, -18, 1.4, 60), (40, 41, -24, 23, 1.4, -64)
-    between = tuple(np.mean([one, other], axis=0))
-    torques = [_mean_load(gait, side=-1.0)[5] for gait in (one, other, between)]
+    first, other = (38, 40, 23, -18, 1.4, 60), (40, 41, -24, 23, 1.4, -64)
+    between = tuple(np.mean([first, other], axis=0))
+    torques = [_mean_load(gait, side=-1.0)[5] for gait in (first, other, between)]
     assert min(torques[:2]) > 3 * abs(torques[2])
 
 
@@ -135,13 +135,13 @@ def test_vortices_scatter_repeated_trials():
 def records():
     """Wrench of random gaits of the shipped experiment's ranges, with the RC servos in between: (frequency, (n, 6))."""
     rng = np.random.default_rng(3)
-    found = []
-    while len(found) < 40:
+    results = []
+    while len(results) < 40:
         a1, a2 = rng.uniform(0, 45, 2)
         b1, b2 = rng.uniform(-30, 30, 2)
         if a1 + abs(b1) <= 60 and a2 + abs(b2) <= 60:
-            found.append(_record((a1, a2, b1, b2, rng.uniform(0.3, 1.5), rng.uniform(-180, 180))))
-    return found
+            results.append(_record((a1, a2, b1, b2, rng.uniform(0.3, 1.5), rng.uniform(-180, 180))))
+    return results
 
 
 def _record(gait):

@@ -77,7 +77,7 @@ def test_thrust_of_the_tail_hardly_depends_on_the_step(speed_m_s):
 
 def test_the_tail_pushes_the_less_the_faster_the_fish_goes():
     thrusts = [_thrust(0.01, speed) for speed in (0.0, 0.1, 0.2, 0.3)]
-    assert all(one > other for one, other in pairwise(thrusts))
+    assert all(first > other for first, other in pairwise(thrusts))
 
 
 def test_the_steady_drag_of_fins_grows_with_the_square_of_speed_where_water_has_no_time_to_rest():
@@ -115,10 +115,10 @@ def test_without_a_tail_there_is_no_load_of_a_tail():
 
 
 def test_an_outer_ring_that_follows_at_once_is_a_blade_of_one_piece():
-    one, two = ATTACHMENTS["broad"], ATTACHMENTS["two-body"]
+    broad, two = ATTACHMENTS["broad"], ATTACHMENTS["two-body"]
     quick = type(two)(two.inner_m, two.outer_m, outer_lag_s=1e-9)
     beat = _beat(0.01, pectoral_deg=30.0, cycles=2)
-    whole = _loads(beat, 0.1, 0.01, attachment=one)
+    whole = _loads(beat, 0.1, 0.01, attachment=broad)
     np.testing.assert_allclose(_loads(beat, 0.1, 0.01, attachment=quick), whole, atol=1e-9)
     assert np.abs(_loads(beat, 0.1, 0.01, attachment=two) - whole).max() > 0.1
 
@@ -133,6 +133,6 @@ def test_blades_are_changed_by_hand_and_unknown_ones_are_told():
         drags[kind] = -tank.observe(["force_x"], np.arange(3.0, 4.0, 0.01)).mean()
     assert drags["slender"] < drags["broad"]
     assert drags["two-body"] == pytest.approx(drags["broad"])
-    with pytest.raises(SpecError, match="no attachment 'wide'") as told:
+    with pytest.raises(SpecError, match="no attachment 'wide'") as raises:
         tank.arrange({"attachment": "wide"})
-    assert "broad, slender, short, two-body" in str(told.value.hint)
+    assert "broad, slender, short, two-body" in str(raises.value.hint)

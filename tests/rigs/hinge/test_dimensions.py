@@ -55,7 +55,7 @@ def test_a_stiffness_that_is_not_positive_is_an_error():
 
 def test_the_hinge_pendulum_has_the_values_of_the_maps_and_swings_down():
     model = load_model("hinge-pendulum")
-    values = {one.name: one.value for one in model.parameters}
+    values = {parameter.name: parameter.value for parameter in model.parameters}
     assert values["stiffness"] == pytest.approx(dimensions.stiffness(W, L), rel=0.01)
     assert values["damping"] == pytest.approx(dimensions.damping(A, W, L), rel=0.02)
     time_s = np.arange(0, 3, 1 / 360)

@@ -49,22 +49,22 @@ def swings(noise_rad: float = 0.0) -> Dataset:
 
 
 def test_on_clean_swings_both_ways_agree_with_the_truth_and_each_other() -> None:
-    found = fit_hinge(swings(), body(), rng=np.random.default_rng(0)).parameters
+    parameters = fit_hinge(swings(), body(), rng=np.random.default_rng(0)).parameters
     for name, truth in (("stiffness", STIFFNESS), ("damping", DAMPING)):
-        assert found[name].value == pytest.approx(truth, rel=1e-3)
-        assert found[f"{name}_fourier"].value == pytest.approx(truth, rel=1e-3)
-        assert found[name].value == pytest.approx(found[f"{name}_fourier"].value, rel=1e-3)
-    assert found["stiffness"].unit == "N m/rad"
-    assert found["damping_fourier"].unit == "N m s/rad"
+        assert parameters[name].value == pytest.approx(truth, rel=1e-3)
+        assert parameters[f"{name}_fourier"].value == pytest.approx(truth, rel=1e-3)
+        assert parameters[name].value == pytest.approx(parameters[f"{name}_fourier"].value, rel=1e-3)
+    assert parameters["stiffness"].unit == "N m/rad"
+    assert parameters["damping_fourier"].unit == "N m s/rad"
 
 
 def test_table_3_2_is_recovered_through_the_cameras_noise() -> None:
     result = fit_hinge(swings(noise_rad=1e-3), body(), rng=np.random.default_rng(0))
-    found = result.parameters
-    assert found["stiffness"].value == pytest.approx(0.0686, rel=0.003)
-    assert found["stiffness_fourier"].value == pytest.approx(0.0686, rel=0.003)
-    assert found["damping"].value == pytest.approx(2.89e-4, rel=0.02)
-    assert found["damping_fourier"].value == pytest.approx(2.89e-4, rel=0.02)
+    parameters = result.parameters
+    assert parameters["stiffness"].value == pytest.approx(0.0686, rel=0.003)
+    assert parameters["stiffness_fourier"].value == pytest.approx(0.0686, rel=0.003)
+    assert parameters["damping"].value == pytest.approx(2.89e-4, rel=0.02)
+    assert parameters["damping_fourier"].value == pytest.approx(2.89e-4, rel=0.02)
     assert result.rmse["angle"] == pytest.approx(1e-3, rel=0.05)
     assert not any("disagree" in warning or "eq. (3.5) leaves" in warning for warning in result.warnings)
 
@@ -80,29 +80,29 @@ def test_releases_that_differ_give_the_mean_within_its_interval_and_the_scatter(
     result = fit_hinge(dataset_of(made), body(), rng=np.random.default_rng(0))
     for way in ("", "_fourier"):
         for name, truth, relative in (("stiffness", STIFFNESS, 0.01), ("damping", DAMPING, 0.015)):
-            found = result.parameters[name + way]
-            assert found.value == pytest.approx(truth, rel=0.02)
-            assert found.ci95[0] <= truth <= found.ci95[1]
-            half = 0.5 * (found.ci95[1] - found.ci95[0])
+            parameter = result.parameters[name + way]
+            assert parameter.value == pytest.approx(truth, rel=0.02)
+            assert parameter.ci95[0] <= truth <= parameter.ci95[1]
+            half = 0.5 * (parameter.ci95[1] - parameter.ci95[0])
             assert half == pytest.approx(2.06 * relative * truth / np.sqrt(25), rel=0.5)
     # in phase to the end, although stiffness differs: the residual is the cameras' noise
     assert result.rmse["angle"] == pytest.approx(1e-3, rel=0.05)
-    told = re.search(r"stiffness varies by ([\d.]+) % and damping varies by ([\d.]+) %", result.findings[0])
-    assert told is not None
-    assert float(told[1]) == pytest.approx(1.0, rel=0.35)
-    assert float(told[2]) == pytest.approx(1.5, rel=0.35)
+    match = re.search(r"stiffness varies by ([\d.]+) % and damping varies by ([\d.]+) %", result.findings[0])
+    assert match is not None
+    assert float(match[1]) == pytest.approx(1.0, rel=0.35)
+    assert float(match[2]) == pytest.approx(1.5, rel=0.35)
     assert result.warnings == ()
     assert len(result.by_trial) == 25
 
 
 def test_an_uncertain_body_is_told_and_not_dragged_along() -> None:
-    found = fit_hinge(swings(noise_rad=1e-3), body(0.03, 0.02), rng=np.random.default_rng(0))
-    assert found.fixed["inertia"] == INERTIA
-    assert found.fixed["gravity_torque"] == GRAVITY
-    told = next(warning for warning in found.warnings if "taken as stated" in warning)
+    hinge = fit_hinge(swings(noise_rad=1e-3), body(0.03, 0.02), rng=np.random.default_rng(0))
+    assert hinge.fixed["inertia"] == INERTIA
+    assert hinge.fixed["gravity_torque"] == GRAVITY
+    message = next(warning for warning in hinge.warnings if "taken as stated" in warning)
     # k = I w^2 - m g r: what a heavier body would have given, to first order
     heavier = np.hypot(0.03 * (STIFFNESS + GRAVITY), 0.02 * GRAVITY) / STIFFNESS
-    assert f"stiffness by up to {196 * heavier:.2g} %, damping by up to 5.9 %" in told
+    assert f"stiffness by up to {196 * heavier:.2g} %, damping by up to 5.9 %" in message
 
 
 def test_intervals_cover_a_body_that_is_off_by_as_much_as_its_tolerance_says() -> None:
@@ -113,11 +113,11 @@ def test_intervals_cover_a_body_that_is_off_by_as_much_as_its_tolerance_says() -
         "b",
     )
     rng = np.random.default_rng(0)
-    found = fit_hinge(swings(noise_rad=1e-3), wrong, rng=rng).parameters
+    parameters = fit_hinge(swings(noise_rad=1e-3), wrong, rng=rng).parameters
     exact = fit_hinge(swings(noise_rad=1e-3), wrong, rng=rng, body_in_intervals=False).parameters
     for way in ("", "_fourier"):
         for name, truth in (("stiffness", STIFFNESS), ("damping", DAMPING)):
-            low, high = found[name + way].ci95
+            low, high = parameters[name + way].ci95
             assert low < truth < high
             assert not exact[name + way].ci95[0] < truth < exact[name + way].ci95[1]
 
@@ -128,11 +128,11 @@ def test_the_told_effect_of_the_body_is_what_a_wrong_body_does() -> None:
         "b",
     )
     made = [swing(release, duration_s=5.0) for release in (0.1, 0.12)]
-    found = fit_hinge(dataset_of(made), heavy, rng=np.random.default_rng(0)).parameters
+    parameters = fit_hinge(dataset_of(made), heavy, rng=np.random.default_rng(0)).parameters
     for way in ("", "_fourier"):
-        shift = found["stiffness" + way].value - STIFFNESS
+        shift = parameters["stiffness" + way].value - STIFFNESS
         assert shift == pytest.approx(0.03 * (STIFFNESS + GRAVITY), rel=0.03)
-        assert found["damping" + way].value / DAMPING == pytest.approx(1.03, rel=3e-3)
+        assert parameters["damping" + way].value / DAMPING == pytest.approx(1.03, rel=3e-3)
 
 
 def test_air_drag_shows_as_damping_that_grows_with_the_release() -> None:
@@ -143,13 +143,13 @@ def test_air_drag_shows_as_damping_that_grows_with_the_release() -> None:
     ]
     noisy = [(time_s, angle + 3e-4 * rng.normal(size=len(angle))) for time_s, angle in made]
     result = fit_hinge(dataset_of(noisy), body(), rng=np.random.default_rng(0))
-    told = next(warning for warning in result.warnings if warning.startswith("damping grows"))
-    assert "air drag" in told
-    shown = re.search(r"from (\d+) and from (\d+) deg", told)
+    message = next(warning for warning in result.warnings if warning.startswith("damping grows"))
+    assert "air drag" in message
+    shown = re.search(r"from (\d+) and from (\d+) deg", message)
     assert shown is not None
     assert [float(angle) for angle in shown.groups()] == pytest.approx([10, 50], rel=0.05)
     # the line through all releases leads back to the damping that is there without drag
-    extrapolated = re.search(r"small swings it is (\S+)", told)
+    extrapolated = re.search(r"small swings it is (\S+)", message)
     assert extrapolated is not None
     assert float(extrapolated[1]) == pytest.approx(DAMPING, rel=0.03)
     assert result.parameters["damping"].value > 1.03 * DAMPING
@@ -199,12 +199,12 @@ def test_a_pendulum_without_spring_shows_a_stiffness_around_zero() -> None:
 
 def test_large_swings_tell_gravity_from_a_spring() -> None:
     made = [swing(release, duration_s=6.0) for release in (0.6, 0.9, 1.2, 1.5)]
-    found = fit_hinge(
+    parameters = fit_hinge(
         dataset_of(made), body(0.0, "free", gravity=0.05), rng=np.random.default_rng(0)
     ).parameters
-    assert found["gravity_torque"].value == pytest.approx(GRAVITY, rel=5e-3)
-    assert found["stiffness"].value == pytest.approx(STIFFNESS, rel=5e-3)
-    assert found["gravity_torque_fourier"].value == pytest.approx(GRAVITY, rel=5e-3)
+    assert parameters["gravity_torque"].value == pytest.approx(GRAVITY, rel=5e-3)
+    assert parameters["stiffness"].value == pytest.approx(STIFFNESS, rel=5e-3)
+    assert parameters["gravity_torque_fourier"].value == pytest.approx(GRAVITY, rel=5e-3)
 
 
 def test_dry_friction_that_the_model_lacks_is_reported() -> None:
@@ -222,13 +222,13 @@ def test_the_series_follows_a_decaying_swing_and_both_its_derivatives() -> None:
     time_s = np.arange(0, 8, 1 / 360)
     decay, omega = 0.3, 9.0
     wave = np.exp((-decay + 1j * omega) * time_s)
-    found = fit_fourier(time_s, wave.real)
-    inside = np.isin(time_s, found.time_s)
+    fourier = fit_fourier(time_s, wave.real)
+    inside = np.isin(time_s, fourier.time_s)
     assert 0 < np.count_nonzero(~inside) < 0.15 * len(time_s)
-    np.testing.assert_allclose(found.angle, wave.real[inside], atol=1e-5)
-    np.testing.assert_allclose(found.rate, ((-decay + 1j * omega) * wave).real[inside], atol=1e-3)
+    np.testing.assert_allclose(fourier.angle, wave.real[inside], atol=1e-5)
+    np.testing.assert_allclose(fourier.rate, ((-decay + 1j * omega) * wave).real[inside], atol=1e-3)
     np.testing.assert_allclose(
-        found.acceleration, ((-decay + 1j * omega) ** 2 * wave).real[inside], atol=0.05
+        fourier.acceleration, ((-decay + 1j * omega) ** 2 * wave).real[inside], atol=0.05
     )
 
 

@@ -130,7 +130,7 @@ def test_releases_of_one_setup_differ_a_little():
     difference = np.abs(first - second).max()
     assert 1e-4 < difference < 0.02
     releases = bench.truth()["releases"]
-    assert [one["time_s"] for one in releases] == pytest.approx([2.0, 22.0], abs=0.002)
+    assert [release["time_s"] for release in releases] == pytest.approx([2.0, 22.0], abs=0.002)
     assert releases[0]["stiffness"] != releases[1]["stiffness"]
     assert releases[0]["stiffness"] == pytest.approx(releases[1]["stiffness"], rel=0.01)
     assert releases[0]["damping"] == pytest.approx(releases[1]["damping"], rel=0.05)
@@ -143,10 +143,10 @@ def test_another_specimen_is_another_setup_and_its_own_releases_are_one():
         bench.arrange({"width_mm": width_mm})
         plain = HingeBench({"noise": 0}, np.random.default_rng(0))
         plain.arrange({"width_mm": width_mm})
-        told, nominal = bench.truth()["parameters"], plain.truth()["parameters"]
-        factors.append([told[name] / nominal[name] for name in ("stiffness", "damping")])
+        parameters, nominal = bench.truth()["parameters"], plain.truth()["parameters"]
+        factors.append([parameters[name] / nominal[name] for name in ("stiffness", "damping")])
     assert factors[1] == factors[2]
-    assert len({tuple(one) for one in factors}) == 3
+    assert len({tuple(factor) for factor in factors}) == 3
 
 
 def test_setups_of_changed_specimens_scatter_like_the_published_repeats():
@@ -166,10 +166,10 @@ def test_a_bench_taken_back_after_a_change_of_specimen_goes_on_the_same():
     bench.observe(["hinge"], np.array([2.5]))
     again = HingeBench({}, np.random.default_rng(9))
     again.restore(bench.snapshot())
-    for one in (bench, again):
-        one.arrange(condition)  # the same specimen: stays as it hangs
-        one.observe(["hinge"], np.array([3.0]))
-        one.arrange({"width_mm": 20.0})
+    for recorded in (bench, again):
+        recorded.arrange(condition)  # the same specimen: stays as it hangs
+        recorded.observe(["hinge"], np.array([3.0]))
+        recorded.arrange({"width_mm": 20.0})
     assert bench.truth() == again.truth()
     (release,) = bench.truth()["releases"]
     assert release["stiffness"] == pytest.approx(0.00805, rel=0.1)  # that of the 30 mm hinge it was
@@ -181,8 +181,12 @@ def test_a_hidden_effect_works_on_the_bench_and_is_told_by_its_truth():
     without = _released({"noise": 0})
     late = TIME_S[-300:]
     assert np.abs(without.observe(["hinge"], late)).max() > 5 * np.ptp(with_friction.observe(["hinge"], late))
-    (told,) = with_friction.truth()["hidden"]
-    assert (told["effect"], told["site"], told["values"]["torque"]) == ("coulomb-friction", "hinge", 1e-3)
+    (message,) = with_friction.truth()["hidden"]
+    assert (message["effect"], message["site"], message["values"]["torque"]) == (
+        "coulomb-friction",
+        "hinge",
+        1e-3,
+    )
 
 
 def test_a_parameter_error_is_relative():

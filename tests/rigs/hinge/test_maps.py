@@ -53,26 +53,28 @@ def test_an_exact_polynomial_comes_back_in_metres_and_square_metres(coefficients
     form = Form.of("damping", ("w", "l", "a"))
     sizes = {name: shift * values for name, values in LINES.items()}
     values = design(form.terms, sizes) @ np.array(coefficients)
-    found = fit_polynomial(form, sizes, [np.full(2, value) for value in values], rng=np.random.default_rng(0))
-    np.testing.assert_allclose(found.fitted, values, atol=1e-12)
+    polynomial = fit_polynomial(
+        form, sizes, [np.full(2, value) for value in values], rng=np.random.default_rng(0)
+    )
+    np.testing.assert_allclose(polynomial.fitted, values, atol=1e-12)
     # a coefficient is known as well as its term's share of the map
     reach = np.abs(design(form.terms, sizes)).max(axis=0)
-    np.testing.assert_allclose(found.coefficients * reach, coefficients * reach, atol=1e-9)
+    np.testing.assert_allclose(polynomial.coefficients * reach, coefficients * reach, atol=1e-9)
 
 
 def test_leaving_a_specimen_out_is_a_fit_without_it():
     form = Form.of("damping", ("a", "l", "w"))
-    found = fitted(form, LINES, truth("damping", LINES), scatter=0.03)
-    for place in range(len(found.measured)):
-        kept = np.arange(len(found.measured)) != place
+    result = fitted(form, LINES, truth("damping", LINES), scatter=0.03)
+    for index in range(len(result.measured)):
+        kept = np.arange(len(result.measured)) != index
         rest = fit_polynomial(
             form,
             {name: values[kept] for name, values in LINES.items()},
-            [np.full(2, value) for value in found.measured[kept]],
+            [np.full(2, value) for value in result.measured[kept]],
             rng=np.random.default_rng(0),
         )
-        there = rest.value({name: values[place : place + 1] for name, values in LINES.items()})[0]
-        assert found.left_out_error[place] == pytest.approx(found.measured[place] - there, rel=1e-6)
+        there = rest.value({name: values[index : index + 1] for name, values in LINES.items()})[0]
+        assert result.left_out_error[index] == pytest.approx(result.measured[index] - there, rel=1e-6)
 
 
 def test_intervals_hold_the_truth_where_mountings_differ_and_releases_alone_do_not():
@@ -81,46 +83,46 @@ def test_intervals_hold_the_truth_where_mountings_differ_and_releases_alone_do_n
     exact = fitted(form, sizes, values).coefficients
     whole, alone = [], []
     for seed in range(150):
-        found = fitted(form, sizes, values, seed=seed, scatter=0.0315, between_releases=0.005)
-        whole.append((found.intervals[:, 0] <= exact) & (exact <= found.intervals[:, 1]))
-        alone.append((found.by_releases[:, 0] <= exact) & (exact <= found.by_releases[:, 1]))
+        result = fitted(form, sizes, values, seed=seed, scatter=0.0315, between_releases=0.005)
+        whole.append((result.intervals[:, 0] <= exact) & (exact <= result.intervals[:, 1]))
+        alone.append((result.by_releases[:, 0] <= exact) & (exact <= result.by_releases[:, 1]))
     assert 0.88 < np.mean(whole) < 0.995
     assert np.mean(alone) < 0.5
 
 
 def test_the_regressors_are_well_conditioned_only_once_centred_and_scaled():
-    found = fitted(Form.of("damping", ("a", "l", "w")), LINES, truth("damping", LINES))
-    assert found.condition < 20
-    assert found.raw_condition > 1e5
+    result = fitted(Form.of("damping", ("a", "l", "w")), LINES, truth("damping", LINES))
+    assert result.condition < 20
+    assert result.raw_condition > 1e5
 
 
 def test_sizes_that_change_together_leave_coefficients_open_and_they_are_named():
     form = Form.of("stiffness", ("l", "w"))
     sizes = {"w": WIDTHS, "l": WIDTHS / 20}
-    found = fitted(form, sizes, np.linspace(0.01, 0.02, 5), between_releases=0.01)
-    assert found.estimates.keys() == {"k_0"}
-    text = " ".join(map_warnings(found))
+    result = fitted(form, sizes, np.linspace(0.01, 0.02, 5), between_releases=0.01)
+    assert result.estimates.keys() == {"k_0"}
+    text = " ".join(map_warnings(result))
     for name in ("k_w", "k_w2", "k_l", "k_l2"):
         assert name in text
     assert "do not determine" in text
 
 
 def test_as_many_coefficients_as_specimens_are_told_and_only_releases_say_how_sure_they_are():
-    found = fitted(
+    result = fitted(
         Form.of("stiffness", ("w",)), {"w": WIDTHS[:3]}, [0.005, 0.008, 0.011], between_releases=0.01
     )
-    assert found.freedom == 0
-    assert not np.isfinite(found.left_out_mae)
-    assert np.isfinite(found.intervals).all()
-    assert any("nothing is left to judge it by" in text for text in map_warnings(found))
+    assert result.freedom == 0
+    assert not np.isfinite(result.left_out_mae)
+    assert np.isfinite(result.intervals).all()
+    assert any("nothing is left to judge it by" in text for text in map_warnings(result))
     with pytest.raises(FitError, match="one release each"):
         fitted(Form.of("stiffness", ("w",)), {"w": WIDTHS[:3]}, [0.005, 0.008, 0.011], releases=1)
 
 
 def test_two_degrees_of_freedom_and_coefficients_that_may_be_zero_are_told():
     straight = 0.01 + 0.1 * WIDTHS
-    found = fitted(Form.of("stiffness", ("w",)), {"w": WIDTHS}, straight, scatter=0.02, seed=0)
-    text = " ".join(map_warnings(found))
+    result = fitted(Form.of("stiffness", ("w",)), {"w": WIDTHS}, straight, scatter=0.02, seed=0)
+    text = " ".join(map_warnings(result))
     assert "2 degrees of freedom" in text
     assert "k_w2 and k_w cannot be told from zero, each by itself" in text
 
@@ -128,9 +130,9 @@ def test_two_degrees_of_freedom_and_coefficients_that_may_be_zero_are_told():
 def test_a_map_that_turns_negative_between_specimens_is_told_with_the_place():
     sizes = {"w": np.array([10.0, 20.0, 50.0, 60.0]) * 1e-3}
     values = 1e-4 * ((sizes["w"] / 1e-3 - 35) ** 2 / 225 - 0.5)
-    found = fitted(Form.of("damping", ("w",)), sizes, values, between_releases=0.001)
-    assert found.measured.min() > 0
-    (text,) = [text for text in map_warnings(found) if "negative" in text]
+    result = fitted(Form.of("damping", ("w",)), sizes, values, between_releases=0.001)
+    assert result.measured.min() > 0
+    (text,) = [text for text in map_warnings(result) if "negative" in text]
     assert "w = 24.5 to 45.5 mm" in text
 
 
@@ -175,11 +177,11 @@ def runs(tmp_path_factory):
         "sweep.axes.release=[17, 23]",
         "trial.duration_s=5",
     )
-    found = {}
+    result = {}
     for name in ("hinge-width", "hinge-length", "hinge-area"):
         loaded = load_named(name, results, quiet)
-        found[name] = execute(loaded, results=results, dry_run=True, seed=3, draw=False).run
-    return found
+        result[name] = execute(loaded, results=results, dry_run=True, seed=3, draw=False).run
+    return result
 
 
 @pytest.mark.rendered
@@ -187,14 +189,14 @@ def test_all_runs_together_give_the_benchs_own_maps_3_11_and_3_12(runs):
     width, *more = runs.values()
     result = fit(width, more=more)
     assert result.data.trials == 34
-    found = result.parameters
+    parameters = result.parameters
     for quantity, names in (("damping", ("a", "l", "w")), ("stiffness", ("l", "w"))):
         form = Form.of(quantity, names)
         for name, term in zip(form.names, form.terms, strict=True):
-            assert found[name].value == pytest.approx(form.published.coefficients[term], rel=0.03), name
-            assert found[name].unit == form.unit(term)
+            assert parameters[name].value == pytest.approx(form.published.coefficients[term], rel=0.03), name
+            assert parameters[name].unit == form.unit(term)
     maps = json.loads((width / "fit" / "hinge-maps.json").read_text())["maps"]
-    assert all(one["mae_percent"] < 0.3 for one in maps)
+    assert all(fitted_map["mae_percent"] < 0.3 for fitted_map in maps)
     (quality,) = [table for table in result.tables if "condition number" in table.title]
     assert "4.01 % (3.11)" in str(quality.rows[0])
     assert "1.39 % (3.12)" in str(quality.rows[1])

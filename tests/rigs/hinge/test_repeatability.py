@@ -19,15 +19,15 @@ SPECIMEN = {
 def released(seed, tests, **settings):
     """Return stiffness and damping (n, 2) of one release in each test."""
     bench = HingeBench({**SPECIMEN, **settings}, np.random.default_rng(seed))
-    found = []
+    results = []
     for number, test in enumerate(tests):
         bench.arrange({"test": test})
         held = Trajectory(("hinge",), np.array([0.0, 0.5]), np.full((2, 1), 0.3))
         bench.drive("hinge", held, float(number))
         bench.observe(("hinge",), np.array([number + 0.2, number + 0.8]))
         release = bench.truth()["releases"][-1]
-        found.append([release["stiffness"], release["damping"]])
-    return np.array(found)
+        results.append([release["stiffness"], release["damping"]])
+    return np.array(results)
 
 
 def test_tests_scatter_as_the_source_prints_and_releases_of_one_test_hardly():
@@ -50,17 +50,17 @@ def test_without_noise_every_test_is_the_same():
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 5))])
 def test_the_fit_tells_stiffness_and_damping_of_every_test(seed, tmp_path):
     run = labrun.run("hinge-repeatability", dry_run=True, seed=seed, results=tmp_path).run
-    found = labrun.fit(run)
-    table = found.tables[0]
+    result = labrun.fit(run)
+    table = result.tables[0]
     assert [row[0] for row in table.rows] == ["1", "2", "3", "mean", "standard deviation", "of the mean"]
-    low, high = found.parameters["stiffness"].ci95
+    low, high = result.parameters["stiffness"].ci95
     assert low < 0.0686 < high
-    assert found.parameters["stiffness"].value == pytest.approx(0.0686, rel=0.06)
-    assert found.parameters["damping"].value == pytest.approx(2.886e-4, rel=0.08)
+    assert result.parameters["stiffness"].value == pytest.approx(0.0686, rel=0.06)
+    assert result.parameters["damping"].value == pytest.approx(2.886e-4, rel=0.08)
 
 
 def test_a_shipped_recording_is_known_by_its_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    found = labrun.compare("table-3-2", tolerance="5%").comparison
-    assert found.within
-    assert found.worst.channel == "damping"
+    comparison = labrun.compare("table-3-2", tolerance="5%").comparison
+    assert comparison.within
+    assert comparison.worst.channel == "damping"

@@ -73,12 +73,12 @@ def test_lives_of_a_run_are_fitted_and_what_outlived_it_is_more_than_a_number(tm
     small = [f"run.conditions=[{conditions}]", "trial.until.max_cycles=1500", "rig.devices.wrench.rate_hz=5"]
     scene = ["rig.scene={plugin='life-bench', shape=1.0}"]
     run = labrun.run("hinge-life", dry_run=True, seed=3, overrides=small + scene, results=tmp_path).run
-    found = labrun.fit(run)
-    lives = {one["kind"]: one for one in found.details["lives"]}
+    result = labrun.fit(run)
+    lives = {life["kind"]: life for life in result.details["lives"]}
     assert lives["layup = sandwich, range = 120"]["censored"] == [True]
-    assert any("sandwich" in text and "> 1,500 cycles" in text for text in found.findings)
-    assert not any("sandwich" in name for name in found.parameters)
-    assert any("falls by" in text for text in found.findings)
+    assert any("sandwich" in text and "> 1,500 cycles" in text for text in result.findings)
+    assert not any("sandwich" in name for name in result.parameters)
+    assert any("falls by" in text for text in result.findings)
 
 
 def test_every_kept_cycle_is_a_trial_of_its_own_to_a_model(tmp_path):
@@ -87,12 +87,12 @@ def test_every_kept_cycle_is_a_trial_of_its_own_to_a_model(tmp_path):
         "trial.until.keep_every=50", 'trial.until.when="cycle > 1e9"',
     ]  # fmt: skip
     run = labrun.run("hinge-life", dry_run=True, seed=3, overrides=small, results=tmp_path).run
-    found = labrun.compare(run, model="turned-hinge", results=tmp_path).comparison
-    assert [dict(one.condition)["cycle"] for one in found.pairs] == [0.0, 50.0, 100.0]
-    assert all(one.time_s[0] < 0.1 and 2.7 < one.time_s[-1] < 2.86 for one in found.pairs)
+    comparison = labrun.compare(run, model="turned-hinge", results=tmp_path).comparison
+    assert [dict(pair.condition)["cycle"] for pair in comparison.pairs] == [0.0, 50.0, 100.0]
+    assert all(pair.time_s[0] < 0.1 and 2.7 < pair.time_s[-1] < 2.86 for pair in comparison.pairs)
     # the torque has fallen by 5 % a decade in both
-    assert np.ptp(found.pairs[2].measured) < 0.92 * np.ptp(found.pairs[0].measured)
-    assert found.worst.relative < 0.02
+    assert np.ptp(comparison.pairs[2].measured) < 0.92 * np.ptp(comparison.pairs[0].measured)
+    assert comparison.worst.relative < 0.02
 
 
 def test_a_run_without_lives_is_told_what_it_lacks(tmp_path):

@@ -11,11 +11,11 @@ def test_the_fit_is_that_of_scipy_with_and_without_survivors():
     lives = 2500 * rng.weibull(3.0, 40)
     for limit in (np.inf, 2600.0):
         cycles, failed = np.minimum(lives, limit), lives < limit
-        found = fit_weibull(cycles, failed)
+        weibull = fit_weibull(cycles, failed)
         data = CensoredData.right_censored(cycles, ~failed)
         shape, _, scale = weibull_min.fit(data, floc=0)
-        assert found.shape == pytest.approx(shape, rel=1e-3)
-        assert found.scale == pytest.approx(scale, rel=1e-3)
+        assert weibull.shape == pytest.approx(shape, rel=1e-3)
+        assert weibull.scale == pytest.approx(scale, rel=1e-3)
 
 
 @pytest.mark.parametrize("limit", [pytest.param(np.inf, marks=pytest.mark.slow), 3200.0])
@@ -31,8 +31,8 @@ def test_intervals_hold_the_median_and_the_shape_as_often_as_they_say(limit):
         if np.count_nonzero(failed) < 2:
             continue
         count += 1
-        found = fit_weibull(np.minimum(lives, limit), failed)
-        (low, high), (thin, wide) = intervals(found, 5, int(np.count_nonzero(failed)), draws)
+        weibull = fit_weibull(np.minimum(lives, limit), failed)
+        (low, high), (thin, wide) = intervals(weibull, 5, int(np.count_nonzero(failed)), draws)
         held += [low < median < high, thin < 3.0 < wide]
     assert np.all(held / count > 0.90)
     assert held[0] / count < 0.995
@@ -40,9 +40,9 @@ def test_intervals_hold_the_median_and_the_shape_as_often_as_they_say(limit):
 
 def test_more_cycles_than_anything_lived_are_never_a_number():
     life = Life("sandwich", np.full(5, 50_000.0), np.zeros(5, dtype=bool))
-    told = _outlived(life)
-    assert told.startswith("> 50,000 cycles: all 5 outlived the test")
-    assert "97 % sure" in told
+    message = _outlived(life)
+    assert message.startswith("> 50,000 cycles: all 5 outlived the test")
+    assert "97 % sure" in message
 
 
 def test_a_torque_that_falls_by_a_share_per_decade_is_told_by_it():

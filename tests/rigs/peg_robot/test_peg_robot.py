@@ -34,8 +34,8 @@ def walked(made, cycles=6, signal="position"):
 
 def test_the_limits_are_those_of_the_tape_spring_and_only_with_the_chord_one_friction_separates_them():
     limits = [TapeSpring(mil * 25.4e-6, width="chord") for mil in (3, 5, 10)]
-    assert [1e3 * one.equal_limit_n_m for one in limits] == pytest.approx([0.37, 1.7, 13.9], rel=0.03)
-    assert [1e3 * one.opposite_limit_n_m for one in limits] == pytest.approx([5.2, 14.6, 59.7], rel=0.01)
+    assert [1e3 * limit.equal_limit_n_m for limit in limits] == pytest.approx([0.37, 1.7, 13.9], rel=0.03)
+    assert [1e3 * limit.opposite_limit_n_m for limit in limits] == pytest.approx([5.2, 14.6, 59.7], rel=0.01)
     thin, _, thick = (TapeSpring(mil * 25.4e-6, width="arc") for mil in (3, 5, 10))
     assert thin.opposite_limit_n_m > thick.equal_limit_n_m
 

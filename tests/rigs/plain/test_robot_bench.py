@@ -62,11 +62,11 @@ def test_a_hidden_effect_is_there_and_truth_tells_it():
 
 
 def test_a_restored_bench_goes_on_to_the_same_last_bit():
-    one, other = bench(), bench()
-    held_at(one, 0.3, after_s=0.5)
-    other.restore(one.snapshot())
+    first, other = bench(), bench()
+    held_at(first, 0.3, after_s=0.5)
+    other.restore(first.snapshot())
     times = np.linspace(0.51, 0.8, 5)
-    assert np.array_equal(one.observe(("joint_1",), times), other.observe(("joint_1",), times))
+    assert np.array_equal(first.observe(("joint_1",), times), other.observe(("joint_1",), times))
 
 
 def test_an_experiment_names_the_file_and_keeps_its_content(tmp_path):

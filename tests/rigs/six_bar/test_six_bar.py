@@ -69,16 +69,16 @@ def test_cameras_find_the_angles_again_in_the_bodies_poses():
         )
         for name, (start, end, deg) in HINGES.items()
     }
-    found = OrientationAngles(BODIES, hinges, {}).of(quaternions)
-    np.testing.assert_allclose(found, made.observe(JOINTS, time_s), atol=2e-6)
+    result = OrientationAngles(BODIES, hinges, {}).of(quaternions)
+    np.testing.assert_allclose(result, made.observe(JOINTS, time_s), atol=2e-6)
 
 
 def test_a_restored_bench_goes_on_as_it_was():
-    one, other = bench(seed=4, noise=1.0), bench(seed=5, noise=1.0)
-    released(one, -15.0, [0.1])
-    other.restore(json.loads(json.dumps(one.snapshot())))
+    first, other = bench(seed=4, noise=1.0), bench(seed=5, noise=1.0)
+    released(first, -15.0, [0.1])
+    other.restore(json.loads(json.dumps(first.snapshot())))
     later = np.linspace(2.2, 2.6, 9)
-    np.testing.assert_array_equal(one.observe(JOINTS, later), other.observe(JOINTS, later))
+    np.testing.assert_array_equal(first.observe(JOINTS, later), other.observe(JOINTS, later))
 
 
 def test_friction_hidden_at_a_hinge_shortens_the_swing():
@@ -98,9 +98,9 @@ def test_what_is_hidden_nowhere_is_told():
 def test_rest_period_and_decay_of_a_known_swing_are_found():
     time_s = np.linspace(0.0, 8.0, 2000)
     angle = -0.15 + 0.05 * np.exp(-0.3 * time_s) * np.cos(2 * np.pi * time_s / 0.42 + 0.7)
-    found = swing(time_s, angle)
-    assert (found.rest, found.decay, found.period) == pytest.approx((-0.15, 0.3, 0.42), rel=1e-6)
-    assert (found.amplitude, found.noise) == pytest.approx((0.05, 0.0), abs=1e-8)
+    result = swing(time_s, angle)
+    assert (result.rest, result.decay, result.period) == pytest.approx((-0.15, 0.3, 0.42), rel=1e-6)
+    assert (result.amplitude, result.noise) == pytest.approx((0.05, 0.0), abs=1e-8)
 
 
 def test_a_trial_without_a_swing_is_no_period():
@@ -115,9 +115,9 @@ def test_a_trial_without_a_swing_is_no_period():
 
 def test_table_3_3_is_a_tenth_of_a_radian_away_and_joint_4_the_most(tmp_path):
     table = shipped_experiments() / "recordings" / "table-3-3"
-    found = labrun.compare(table, model="six-bar", results=tmp_path)
-    distances = found.comparison.distances()
+    result = labrun.compare(table, model="six-bar", results=tmp_path)
+    distances = result.comparison.distances()
     assert np.mean(list(distances.values())) == pytest.approx(0.0907, abs=0.005)
     assert max(distances, key=distances.get) == "theta_4"
-    assert "over 6 channels: 0.0927" in found.to_text()
-    assert "the largest is theta_4's" in found.to_text(200)
+    assert "over 6 channels: 0.0927" in result.to_text()
+    assert "the largest is theta_4's" in result.to_text(200)

@@ -37,7 +37,7 @@ def test_both_ways_of_learning_are_written_with_what_they_are(collected):
     provenance = collected / "provenance.json"
     made = {**json.loads(provenance.read_text()), "git": {"commit": "5eed", "changed_files": 2}}
     provenance.write_text(json.dumps(made))
-    found = fit(collected, model="mlp", workspace=EXPERIMENTS.parent)
+    result = fit(collected, model="mlp", workspace=EXPERIMENTS.parent)
     for name, added in (("mlp-error", "spm-inverse"), ("mlp-ik", "")):
         model = read_learned(collected / "fit" / f"{name}.toml")
         assert (model.rig, model.added_to) == ("spm-load", added)
@@ -45,9 +45,9 @@ def test_both_ways_of_learning_are_written_with_what_they_are(collected):
         assert model.outputs == {"theta_1": "deg", "theta_2": "deg"}
         assert model.origin["run"] == collected.name
         assert (model.origin["git"], model.origin["changed_files"]) == ("5eed", 2)
-        errors = found.details["errors"][name]
+        errors = result.details["errors"][name]
         assert errors["withheld"] <= 1.05 * errors["affine_withheld"] < 0.5 * errors["without"]
-    assert found.figure is not None
+    assert result.figure is not None
 
 
 def test_the_picture_says_that_it_shows_a_part_of_what_was_withheld(collected, monkeypatch):
@@ -95,10 +95,10 @@ def test_the_errors_of_the_source_are_met_and_a_load_is_learned(tmp_path):
         made = run(
             EXPERIMENTS / f"{name}.toml", dry_run=True, seed=1, overrides=overrides, results=tmp_path
         ).run
-        with open_run(made) as found:
+        with open_run(made) as result:
             return {
-                (one.condition["controller"], one.condition["load_g"]): one.objectives[of]
-                for one in found.outcomes
+                (outcome.condition["controller"], outcome.condition["load_g"]): outcome.objectives[of]
+                for outcome in result.outcomes
             }
 
     off = values("spm-pretrained", "off", ["trial.repeats=1"])
@@ -120,8 +120,8 @@ class Notes(SilentProgress):
 
 class GoesAstray(SlidingAffine):
     def solved(self):
-        found = super().solved()
-        return replace(found, biases=(np.full(2, np.nan),)) if self.count > 10 else found
+        network = super().solved()
+        return replace(network, biases=(np.full(2, np.nan),)) if self.count > 10 else network
 
 
 def test_a_learner_that_ended_is_told_at_the_end_of_the_run_and_whenever_it_is_shown(tmp_path, monkeypatch):
@@ -134,9 +134,11 @@ def test_a_learner_that_ended_is_told_at_the_end_of_the_run_and_whenever_it_is_s
     ]
     notes = Notes()
     file = EXPERIMENTS / "spm-transfer.toml"
-    found = run(file, dry_run=True, seed=1, overrides=changes, results=tmp_path, progress=notes)
-    (told,) = [text for text in notes.texts if "learner" in text]
-    assert told.startswith("trial 1: loop pose: the learner ended: it returned weights that are not finite")
-    assert "the loop went on with its last weights" in told
-    shown = CliRunner().invoke(app, ["show", str(found.run)])
-    assert " ".join(told.split()) in " ".join(shown.output.split())
+    result = run(file, dry_run=True, seed=1, overrides=changes, results=tmp_path, progress=notes)
+    (message,) = [text for text in notes.texts if "learner" in text]
+    assert message.startswith(
+        "trial 1: loop pose: the learner ended: it returned weights that are not finite"
+    )
+    assert "the loop went on with its last weights" in message
+    shown = CliRunner().invoke(app, ["show", str(result.run)])
+    assert " ".join(message.split()) in " ".join(shown.output.split())

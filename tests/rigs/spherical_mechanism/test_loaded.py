@@ -44,8 +44,8 @@ def test_the_path_leans_out_to_thirty_degrees_comes_back_and_closes():
 
 
 def test_it_goes_a_fifth_too_far_by_its_own_weight():
-    found = held(bench(), (5.0, -5.0))
-    np.testing.assert_allclose(found, [6.0, -6.0], rtol=0.005)
+    result = held(bench(), (5.0, -5.0))
+    np.testing.assert_allclose(result, [6.0, -6.0], rtol=0.005)
 
 
 def test_a_load_pulls_the_axes_aside_opposite_ways():

@@ -20,8 +20,8 @@ def _printed_forward(theta_1, theta_2):
 
 
 def _square(side_deg):
-    one = np.radians(np.linspace(-side_deg, side_deg, 41))
-    return np.meshgrid(one, one)
+    entry = np.radians(np.linspace(-side_deg, side_deg, 41))
+    return np.meshgrid(entry, entry)
 
 
 @given(ANGLES, ANGLES)
