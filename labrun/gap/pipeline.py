@@ -152,10 +152,10 @@ def search_causes(
         data = without_crowding(data)
     first = recalibrate(model, data, rng, note, each)
     asked = _Asked(clocks, data, withhold, brisk, least_gap, rng, each, note, deadline_s)
-    causes = _searched(asked, first)
-    if not causes.candidates:  # what recalibration leaves is no gap here, or nothing moves
-        return causes
-    search = _with_own_deviations(asked, first, causes)
+    search = _searched(asked, first)
+    if not search.candidates:  # what recalibration leaves is no gap here, or nothing moves
+        return search
+    search = _with_own_deviations(asked, first, search)
     return _in_wells(asked, search) or search
 
 

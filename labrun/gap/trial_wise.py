@@ -69,9 +69,12 @@ def found_in_repeats(
     outputs = range(units.trials[0].outputs.shape[1])
     tried = [(kind, output) for kind in _KINDS for output in (outputs if kind != "start time" else (None,))]
     while len(deviations) < _MOST_DEVIATIONS:
-        rest = [types for types in tried if types not in [(other.kind, other.output) for other in deviations]]
-        looked = [_looked_at(units, left, simulated, kind, output) for kind, output in rest]
-        best = max((look for look in looked if look is not None), key=lambda look: look[0], default=None)
+        known = [(deviation.kind, deviation.output) for deviation in deviations]
+        rest = [(kind, output) for kind, output in tried if (kind, output) not in known]
+        results = [_looked_at(units, left, simulated, kind, output) for kind, output in rest]
+        best = max(
+            (result for result in results if result is not None), key=lambda result: result[0], default=None
+        )
         if best is None:
             break
         _, deviation, left = best
