@@ -181,7 +181,8 @@ def status_words(row: RatedCandidate) -> str:
 def closes_words(cause: Cause) -> str:
     """Return which share of the gap a cause closes, and its confidence."""
     if cause.closes < 0.0 < cause.returns:
-        text = f"closes {percent(cause.returns)} of the gap together with the other causes only"
+        share = percent(min(cause.returns, 1.0))  # without it, the others may leave more than the gap
+        text = f"closes {share} of the gap, together with the other causes only"
     else:
         text = f"closes {percent(cause.closes)} of the gap"
     if math.isfinite(cause.confidence):

@@ -45,6 +45,14 @@ def test_a_cause_comes_with_size_interval_share_of_the_gap_and_how_often_it_wins
     assert "closes 85 % of the gap; confidence 96 % from resamples" in text
 
 
+def test_a_cause_that_helps_only_together_closes_no_more_than_the_whole_gap():
+    diagnosis = examples.explained()
+    cause = replace(diagnosis.causes[0], closes=-0.2, returns=1.18)
+    lines = gap_lines(replace(diagnosis, causes=(cause,)), 400)
+    text = " ".join(" ".join(line.plain for line in lines).split())
+    assert "closes 100 % of the gap, together with the other causes only" in text
+
+
 def test_rivals_are_told_with_their_cause():
     text = words_of(examples.pair())
     assert "rivals: Stribeck friction at hinge" in text
