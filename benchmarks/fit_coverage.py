@@ -79,7 +79,7 @@ def _tensile(message: Mapping[str, Any]) -> Truth:  # noqa: ARG001
 
 def _two_layups(message: Mapping[str, Any]) -> Truth:
     own = {f"{name}_{layup}": value for layup in LAYUPS for name, value in _tensile(message).items()}
-    return own | {f"fracture_load_{layup}": one.breaks_n for layup, one in LAYUPS.items()}
+    return own | {f"fracture_load_{layup}": specimen.breaks_n for layup, specimen in LAYUPS.items()}
 
 
 def _beam(message: Mapping[str, Any]) -> Truth:  # noqa: ARG001

@@ -80,11 +80,11 @@ _RIGS: dict[str, dict[str, Any]] = {
 def experiment(actuator: str) -> dict[str, Any]:
     """Return an experiment that moves one actuator for long."""
     rig = _RIGS[actuator]
-    beside = {"still": rig["beside"]} if "beside" in rig else {}
+    still = {"still": rig["beside"]} if "beside" in rig else {}
     return {
         "title": f"Stopping {actuator}",
         "kind": "run",
-        "rig": {"scene": rig["scene"], "devices": {"actuator": rig["device"], "wrench": _WRENCH, **beside}},
+        "rig": {"scene": rig["scene"], "devices": {"actuator": rig["device"], "wrench": _WRENCH, **still}},
         "gait": rig["gait"],
         "trial": rig["trial"],
         "run": {"conditions": [{"number": 1}]},

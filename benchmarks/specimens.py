@@ -79,26 +79,32 @@ Interval = tuple[float, float, float]
 """Estimate, and the ends of its 95 % interval."""
 
 
-def chained(seed: int, folder: Path, beside: dict[str, list[float]]) -> Iterator[tuple[str, Interval]]:
-    """Run and fit every rig once; what has no interval goes into `beside`."""
+def chained(
+    seed: int, folder: Path, without_interval: dict[str, list[float]]
+) -> Iterator[tuple[str, Interval]]:
+    """Run and fit every rig once; what has no interval goes into `without_interval`."""
     for name, overrides in CHAINS.items():
         run = labrun.run(name, dry_run=True, seed=seed, overrides=overrides, results=folder).run
         if name == "fin-materials":
             off = labrun.compare(run, "table-5-2", results=folder).comparison.worst.relative
-            beside.setdefault("table 5.2, worst", []).append(off)
+            without_interval.setdefault("table 5.2, worst", []).append(off)
             continue
         if name == "hinge-repeatability":
             rows = {row[0]: row[1:] for row in labrun.fit(run).tables[0].rows}
             for index, what in enumerate(("stiffness", "damping")):
-                beside.setdefault(f"{what}, mean", []).append(float(rows["mean"][index]))
-                beside.setdefault(f"{what}, sd", []).append(float(rows["standard deviation"][index]))
+                without_interval.setdefault(f"{what}, mean", []).append(float(rows["mean"][index]))
+                without_interval.setdefault(f"{what}, sd", []).append(
+                    float(rows["standard deviation"][index])
+                )
             continue
         if name == "beam-buckling":
             loops = labrun.open(run).trials.groupby("beam")["loop"].mean()
-            beside.setdefault("loop, steel over polyester", []).append(loops["steel"] / loops["polyester"])
+            without_interval.setdefault("loop, steel over polyester", []).append(
+                loops["steel"] / loops["polyester"]
+            )
             findings = labrun.fit(run, settings={"beam": "long"}).findings
             holds = [finding for finding in findings if finding.startswith("the arc") and "holds" in finding]
-            beside.setdefault("arc holds", []).append(float(len(holds)))
+            without_interval.setdefault("arc holds", []).append(float(len(holds)))
         for beam in ("long", "short") if name == "beam-buckling" else ("",):
             parameters = labrun.fit(run, settings={"beam": beam} if beam else None).parameters
             for key, parameter in parameters.items():
@@ -161,7 +167,7 @@ def over(values: Sequence[float]) -> Interval:
     return mean, mean - half, mean + half
 
 
-def told(results: dict[str, list[Interval]]) -> None:
+def print_coverage(results: dict[str, list[Interval]]) -> None:
     """Print how often intervals hold the truth, and how far means of the estimates lie from it."""
     print("| quantity | truth | mean of the estimates | off by | half interval, mean | truth held |")
     print("| --- | --- | --- | --- | --- | --- |")
@@ -176,7 +182,9 @@ def told(results: dict[str, list[Interval]]) -> None:
         )
 
 
-def accepted(results: dict[str, list[Interval]], beside: dict[str, list[float]], seeds: int) -> None:
+def print_comparison(
+    results: dict[str, list[Interval]], without_interval: dict[str, list[float]], seeds: int
+) -> None:
     """Print what is measured beside what the source has, and how far off that may be."""
     own = np.array([strip_off(seed, number) for seed in range(seeds) for number in range(11)]).T
     lives = results["median_polyester_120"]
@@ -213,18 +221,20 @@ def accepted(results: dict[str, list[Interval]], beside: dict[str, list[float]],
         f"{holds} of {len(lives)} |"
     )
     for what, truth, sd in (("stiffness", 0.068633, 0.0226), ("damping", 2.8863e-4, 0.0318)):
-        means = np.array(beside[f"{what}, mean"])
-        share = math.sqrt(np.mean((np.array(beside[f"{what}, sd"]) / means) ** 2))
+        means = np.array(without_interval[f"{what}, mean"])
+        share = math.sqrt(np.mean((np.array(without_interval[f"{what}, sd"]) / means) ** 2))
         print(
             f"| Table 3.2, {what} | {truth:.4g}, {100 * sd:.1f} % | {means.mean():.4g}, {100 * share:.1f} % "
             f"| {100 * (means.mean() / truth - 1):+.1f} % | | |"
         )
-    print(f"| Table 5.2, thrust | 7 fins | | | {100 * max(beside['table 5.2, worst']):.1f} % | 5 % |")
-    loops = beside["loop, steel over polyester"]
+    print(
+        f"| Table 5.2, thrust | 7 fins | | | {100 * max(without_interval['table 5.2, worst']):.1f} % | 5 % |"
+    )
+    loops = without_interval["loop, steel over polyester"]
     print(
         f"| loop area, steel over polyester | larger | {np.mean(loops):.2f} | | {min(loops):.2f} | above 1 |"
     )
-    held = int(sum(beside["arc holds"]))
+    held = int(sum(without_interval["arc holds"]))
     print(f"| tape spring: width that holds | arc | arc in {held} of {seeds} | | | |")
 
 
@@ -297,7 +307,10 @@ def hidden(seeds: Sequence[int], names: Sequence[str], folder: Path) -> None:
                 " or ".join(map(str, (cause.name, *cause.indistinguishable_from)))
                 for cause in diagnosis.causes
             ]
-            was = "; ".join(f"{one.effect} at {one.site}" for one in compared.revealed.hidden) or "nothing"
+            was = (
+                "; ".join(f"{effect.effect} at {effect.site}" for effect in compared.revealed.hidden)
+                or "nothing"
+            )
             message = "; ".join(causes) or diagnosis.verdict
             print(f"| {name} | {seed} | {was} | {message} | {compared.score} | {spent_s:.0f} |", flush=True)
 
@@ -313,7 +326,7 @@ def main() -> None:
     parser.add_argument("--only", choices=HIDDEN, action="append", help="with --hidden: this rig; repeatable")
     given = parser.parse_args()
     results: dict[str, list[Interval]] = {}
-    beside: dict[str, list[float]] = {}
+    without_interval: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         if given.life:
             subprocess.run(
@@ -325,11 +338,13 @@ def main() -> None:
             hidden(range(given.seeds), given.only or list(HIDDEN), Path(folder))
             return
         for seed in range(given.draws or given.seeds):
-            for name, interval in drawn(seed) if given.draws else chained(seed, Path(folder), beside):
+            for name, interval in (
+                drawn(seed) if given.draws else chained(seed, Path(folder), without_interval)
+            ):
                 results.setdefault(name, []).append(interval)
-    told(results)
-    if beside:
-        accepted(results, beside, given.seeds)
+    print_coverage(results)
+    if without_interval:
+        print_comparison(results, without_interval, given.seeds)
 
 
 if __name__ == "__main__":

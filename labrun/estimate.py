@@ -63,12 +63,12 @@ def rounded(estimate: Estimate) -> tuple[str, str, str]:
     if 1e-3 <= largest < 1e6:
         decimals = int(digits - 1 - np.floor(np.log10(largest)))
 
-        def told(number: float) -> str:
+        def shown(number: float) -> str:
             text = f"{round(number, decimals) + 0.0:.{max(decimals, 0)}f}"  # no -0
             vanishes = float(text) == 0.0 and abs(number) >= _NOT_NOTHING * largest
             return significant(number, 1) if vanishes else text
 
-        return told(estimate.value), told(low), told(high)
+        return shown(estimate.value), shown(low), shown(high)
     return f"{estimate.value:.{digits - 1}e}", f"{low:.{digits - 1}e}", f"{high:.{digits - 1}e}"
 
 

@@ -8,37 +8,10 @@ from pathlib import Path
 
 BANNED = {"one", "found", "place", "told", "said", "begun", "beside"}
 CHECKED = [
-    "labrun/compiled",
-    "labrun/design",
-    "labrun/devices",
-    "labrun/gaits",
-    "labrun/learned",
-    "labrun/objectives",
-    "labrun/store",
-    "labrun/toml",
-    "plugins/labrun_plugins/arduino_servo",
-    "plugins/labrun_plugins/ati_netft",
-    "plugins/labrun_plugins/bno055",
-    "plugins/labrun_plugins/carriage_reset",
-    "plugins/labrun_plugins/command",
-    "plugins/labrun_plugins/labline",
-    "plugins/labrun_plugins/linear_stage",
-    "plugins/labrun_plugins/operator",
-    "plugins/labrun_plugins/optitrack",
-    "plugins/labrun_plugins/robotiq_ft300",
-    "plugins/labrun_plugins/simulated",
-    "plugins/labrun_plugins/tendon_slider",
-    "plugins/labrun_plugins/rigs/beam",
-    "plugins/labrun_plugins/rigs/buckling_fin",
-    "plugins/labrun_plugins/rigs/caudal_fin",
-    "plugins/labrun_plugins/rigs/driven_joint",
-    "plugins/labrun_plugins/rigs/fish",
-    "plugins/labrun_plugins/rigs/hinge",
-    "plugins/labrun_plugins/rigs/hinge_life",
-    "plugins/labrun_plugins/rigs/peg_robot",
-    "plugins/labrun_plugins/rigs/plain",
-    "plugins/labrun_plugins/rigs/six_bar",
-    "plugins/labrun_plugins/rigs/tensile",
+    "labrun",
+    "plugins",
+    "benchmarks",
+    "tools",
     "tests/app",
     "tests/cli",
     "tests/devices",
@@ -76,6 +49,8 @@ CHECKED = [
     "tests/rigs/six_bar",
     "tests/rigs/spherical_mechanism",
 ]
+KEYS_OF_FILES = {("labrun/fit/crossing.py", "one"), ("labrun/spec/search_tables.py", "beside")}
+"""Attributes named after a key that users write in their experiments."""
 
 
 def names_bound_by(node: ast.AST) -> Iterator[str]:
@@ -100,15 +75,12 @@ def main() -> int:
     project = Path(__file__).parents[1]
     problems = 0
     for root in CHECKED:
-        path = project / root
-        if not path.exists():
-            sys.exit(f"tools/check_names.py lists {root}, which does not exist; remove it from CHECKED")
-        for source in [path] if path.is_file() else sorted(path.rglob("*.py")):
+        for source in sorted((project / root).rglob("*.py")):
+            file = source.relative_to(project).as_posix()
             for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
                 for name in names_bound_by(node):
-                    if name in BANNED:
-                        line = getattr(node, "lineno", 0)
-                        print(f"{source.relative_to(project)}:{line}: rename {name!r} after what it holds")
+                    if name in BANNED and (file, name) not in KEYS_OF_FILES:
+                        print(f"{file}:{getattr(node, 'lineno', 0)}: rename {name!r} after what it holds")
                         problems += 1
     return int(problems > 0)
 

@@ -220,7 +220,7 @@ def _best_level(
             progress.note(str(error))
             continue
         verdicts.append(searched.verdict)
-        best = best_of(searched.found, level)
+        best = best_of(searched.measured, level)
         if best is not None:
             winners.append((number, best))
     if barren and not verdicts:
@@ -300,11 +300,11 @@ def finish(folder: RunFolder, answer: Answer, progress: Progress, draw: bool) ->
     progress.phase("packing run.h5")
     best = answer.best
 
-    def told(figure: Path | None) -> RunResult:
+    def result_with(figure: Path | None) -> RunResult:
         result = _result(folder, best=best, figure=figure, finished=True)
         return replace(result, verdicts=answer.verdicts, winners=answer.winners, more=answer.more)
 
-    result = told(None)
+    result = result_with(None)
     folder.pack()
     figure = _drawn(folder.path, best, progress, answer.search) if draw else None
     record = {
@@ -325,7 +325,7 @@ def finish(folder: RunFolder, answer: Answer, progress: Progress, draw: bool) ->
     for remark in remarks_of(folder.journal.events()):
         progress.note(remark)
     folder.journal.append("finished", trials=record["trials"])
-    return told(figure)
+    return result_with(figure)
 
 
 def fitted(

@@ -139,7 +139,7 @@ def whole_plan(
         asked = [] if plan is not None else conditions(experiment, seed)
         chosen = at_settings(asked, settings_of(experiment))
     except ConstraintError as error:
-        raise SpecError(f"{loaded.place(error.key)}: {error}") from error
+        raise SpecError(f"{loaded.origin_of(error.key)}: {error}") from error
     columns_hz = 0.0
     if experiment.kind == "track":
         from labrun.control import ClosedLoopRecorder

@@ -212,7 +212,7 @@ def go_on(
                 return RunResult(folder.path, 0, 0, 0, None, None, finished=False)
             progress.phase("copies of the leaders, as they may be built")
             best = honest_best(
-                candidates, searched.found, objective=name, goal=direction, unit=_unit(simulator, name),
+                candidates, searched.measured, objective=name, goal=direction, unit=_unit(simulator, name),
                 leaders=experiment.leaders,
             )  # fmt: skip
         more: list[str] = []

@@ -46,10 +46,10 @@ def with_leaders(loaded: LoadedExperiment, results: Path, *, planned: bool = Fal
     """
     experiment = loaded.experiment
     listed = experiment.run.conditions if experiment.run is not None and experiment.kind == "run" else None
-    beside = experiment.leaders.beside
+    given = experiment.leaders.beside
     if not planned and missing_beside(experiment, results):
-        beside = []
-    if not isinstance(listed, LeadersOf) and not isinstance(beside, LeadersOf):
+        given = []
+    if not isinstance(listed, LeadersOf) and not isinstance(given, LeadersOf):
         return loaded
     tree = tomllib.loads(loaded.resolved_toml)
     if isinstance(listed, LeadersOf):
@@ -57,9 +57,9 @@ def with_leaders(loaded: LoadedExperiment, results: Path, *, planned: bool = Fal
         tree["run"]["conditions"] = [
             {NUMBER: float(number), **condition} for number, condition in enumerate(points, 1)
         ]
-    if isinstance(beside, LeadersOf):
+    if isinstance(given, LeadersOf):
         tree["leaders"]["beside"], tree["leaders"]["taken_from"] = _taken(
-            beside, loaded, results, planned=planned
+            given, loaded, results, planned=planned
         )
     made = loads_experiment(written_in_order(tree), loaded.name)
     return replace(made, path=loaded.path, origins=loaded.origins)
@@ -67,10 +67,10 @@ def with_leaders(loaded: LoadedExperiment, results: Path, *, planned: bool = Fal
 
 def missing_beside(experiment: Experiment, results: Path) -> list[str]:
     """Return the experiments whose leaders are wanted beside this one's, and of which there is no run yet."""
-    beside = experiment.leaders.beside
+    given = experiment.leaders.beside
     return (
-        [name for name in beside.experiments if not _has_run(name, results)]
-        if isinstance(beside, LeadersOf)
+        [name for name in given.experiments if not _has_run(name, results)]
+        if isinstance(given, LeadersOf)
         else []
     )
 

@@ -209,23 +209,23 @@ def check(
             print(line, file=sys.stderr, flush=True)
         else:
             announce(line)
-        with pool(workers, cluster) as there:
-            message = _diagnosed(folder, seed, there, note)
+        with pool(workers, cluster) as workers_pool:
+            diagnoses = _diagnosed(folder, seed, workers_pool, note)
             note("simulating the corrected models on fresh trials")
-            shown = _shown(folder, seed, message, there)
-            replies = {tool: _asked(folder, tool, there, note) for tool in asked_tools}
+            shown = _shown(folder, seed, diagnoses, workers_pool)
+            replies = {tool: _asked(folder, tool, workers_pool, note) for tool in asked_tools}
     note("opening the seal")
     truths = [Truth.from_json(answer) for answer in open_answers(folder.path, printed)]
     _as_asked(truths, seed, only, folder.path)
     judged = tuple(
         judge(
             truth,
-            Reply.of_labrun(message[truth.case]),
+            Reply.of_labrun(diagnoses[truth.case]),
             Shown.from_json(shown[truth.case]) if truth.case in shown else None,
         )
         for truth in truths
     )
-    programmes = tuple(sorted({str(diagnosis["programme"]) for diagnosis in message.values()}))
+    programmes = tuple(sorted({str(diagnosis["programme"]) for diagnosis in diagnoses.values()}))
     result = Checked(
         seed,
         only,

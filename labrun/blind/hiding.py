@@ -302,8 +302,8 @@ def _of_size(size: float, draw: Draw, site: str, rehearsal: Rehearsal) -> dict[s
         case_size = rehearsal.size(hidden)
         if size / _CLOSE <= case_size <= size * _CLOSE:
             left = rehearsal.recalibrated_size(hidden)
-            messages = [rehearsal.apart(hidden, values) for values in draw.simpler(site, hidden["values"])]
-            return hidden if min([left, *messages]) >= _SMALLEST / 2 and left <= 2 * size else None
+            separations = [rehearsal.apart(hidden, values) for values in draw.simpler(site, hidden["values"])]
+            return hidden if min([left, *separations]) >= _SMALLEST / 2 and left <= 2 * size else None
         low, high = (low, middle) if case_size > size else (middle, high)
     return None
 

@@ -27,13 +27,13 @@ _WHOLE = {"gravity": "gravity-tilt", "payload": "payload"}
 
 @dataclass(frozen=True)
 class JudgedJoint:
-    """One joint of one robot: what was hidden there, and what was said.
+    """One joint of one robot: what was hidden there, and what the diagnosis named.
 
     Attributes
     ----------
     hidden, gap
         Empty and 0 where nothing was hidden.
-    said
+    named
         Every announced cause with what it cannot be told from, the cause first.
     right
         Whether the hidden effect is among them; of a joint without, whether nothing was announced.
@@ -43,7 +43,7 @@ class JudgedJoint:
     joint: str
     hidden: str
     gap: float
-    said: tuple[tuple[str, ...], ...]
+    named: tuple[tuple[str, ...], ...]
     right: bool
 
 
@@ -82,7 +82,7 @@ class CheckedRobots:
             "joints": [
                 {
                     "case": joint.case, "joint": joint.joint, "hidden": joint.hidden or None, "gap": joint.gap,
-                    "said": [list(names) for names in joint.said], "right": joint.right,
+                    "said": [list(names) for names in joint.named], "right": joint.right,
                 }
                 for joint in self.joints
             ],
@@ -104,7 +104,7 @@ class CheckedRobots:
         ]
         for joint in self.joints:
             if not joint.right:
-                message = "; ".join(" or ".join(names) for names in joint.said) or "nothing"
+                message = "; ".join(" or ".join(names) for names in joint.named) or "nothing"
                 hidden = f"{joint.hidden}, gap {joint.gap:.2g}" if joint.hidden else "nothing"
                 lines.append(f"  {joint.case} {joint.joint}: hidden {hidden}; said {message}")
         return "\n".join([*lines, str(self.folder)])
@@ -134,13 +134,13 @@ def check_robots(
         prepare(folder, cases=cases, seed=seed, first=1, only=ROBOT, workers=1, note=note)
         printed = folder.ask({"cases": cases, "seed": seed, "first": 1, "only": ROBOT})
         print(f"seal {seal_of(folder.path)}  ({cases} robots, in {folder.path})", file=sys.stderr, flush=True)
-        message = {name: _said(folder, name, seed, workers or cores(), note) for name in folder.cases()}
+        replies = {name: _said(folder, name, seed, workers or cores(), note) for name in folder.cases()}
     note("opening the seal")
     joints: list[JudgedJoint] = []
     whole: list[tuple[str, str, bool]] = []
     for answer in open_answers(folder.path, printed):
-        joints += _judged(answer, message[answer["case"]]["joints"], whole)
-    seconds = {name: float(timing["seconds"]) for name, timing in message.items()}
+        joints += _judged(answer, replies[answer["case"]]["joints"], whole)
+    seconds = {name: float(timing["seconds"]) for name, timing in replies.items()}
     robots = CheckedRobots(seed, printed, folder.path, tuple(joints), tuple(whole), seconds)
     folder.keep_scores(robots.to_json())
     return robots
@@ -152,11 +152,11 @@ def _said(folder: CheckFolder, name: str, seed: int, workers: int, note: Note) -
     if kept is not None:
         return kept
     counter = time.perf_counter()
-    with tempfile.TemporaryDirectory() as there:
+    with tempfile.TemporaryDirectory() as directory:
         for file, content in folder.seen(name).items():
-            (Path(there) / file).write_bytes(content)
-        robot, model = read_robot(Path(there) / "robot.xml"), load_model(Path(there) / "robot.xml")
-        dataset = load_dataset(Path(there), model)
+            (Path(directory) / file).write_bytes(content)
+        robot, model = read_robot(Path(directory) / "robot.xml"), load_model(Path(directory) / "robot.xml")
+        dataset = load_dataset(Path(directory), model)
         options = Options(seed=case_seed(seed, name), workers=workers)
         diagnosis = diagnose_robot(robot, model, dataset, options, note=lambda text: note(f"{name}: {text}"))
     clock = [[diagnosis.clock]] if diagnosis.clock else []
@@ -168,9 +168,9 @@ def _said(folder: CheckFolder, name: str, seed: int, workers: int, note: Note) -
         ]
         for joint in diagnosis.joints
     }
-    message = {"programme": fingerprint(), "joints": joints, "seconds": time.perf_counter() - counter}
-    folder.keep_reply(name, message)
-    return message
+    reply = {"programme": fingerprint(), "joints": joints, "seconds": time.perf_counter() - counter}
+    folder.keep_reply(name, reply)
+    return reply
 
 
 def _sets(printed: Mapping[str, Any]) -> list[list[str]]:

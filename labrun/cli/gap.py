@@ -259,9 +259,11 @@ def test(
             help="How far ahead to predict, s; 0.1,0.5,2 as far as the trials reach if not given.",
         ),
     ] = None,
-    beside: Annotated[
+    baseline: Annotated[
         str | None,
-        typer.Option(metavar="MODEL", help="The model to set beside it; the one it came from if not given."),
+        typer.Option(
+            "--beside", metavar="MODEL", help="The model to compare with; by default the model it came from."
+        ),
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of the resamples; 0 if not given.")] = None,
     results: options.Results = options.RESULTS,
@@ -283,7 +285,7 @@ def test(
                 model,
                 fresh,
                 horizons_s=horizons_s,
-                predictions_of=beside,
+                predictions_of=baseline,
                 seed=seed,
                 results=results,
                 note=note,

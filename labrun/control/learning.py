@@ -25,7 +25,7 @@ _RING = 1 << 14
 _HEAD = 8
 _GIVEN, _STOP, _VERSION, _READY = range(4)
 _SLOT_HEAD = 3
-"""Of each of the two places for weights: newest sample, how long they took, how many trainings."""
+"""Of each of the two slots for weights: newest sample, how long they took, how many trainings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,7 +245,7 @@ def _how_it_ended(exit_code: int) -> str:
 
 
 class _Shared:
-    """The memory between loop and learner: a head, two places for weights, a ring of samples.
+    """The memory between loop and learner: a head, two slots for weights, a ring of samples.
 
     Weights are written to the place that is not in force, and then the version goes up: whoever reads has them whole,
     unless two trainings end while he copies, and then he copies again.
@@ -264,15 +264,15 @@ class _Shared:
         del self.all, self.ring
         self.memory.close()
 
-    def place(self, version: int) -> FloatArray:
-        """Return the place of a version."""
+    def slot_of(self, version: int) -> FloatArray:
+        """Return the slot that holds a version."""
         begin = _HEAD + (version % 2) * self._slot
         return self.all[begin : begin + self._slot]
 
     def weights(self, version: int) -> tuple[list[float], FloatArray]:
         """Return head and weights of a version, or of the one that has overtaken it."""
         while True:
-            copied = self.place(version).copy()
+            copied = self.slot_of(version).copy()
             now = int(self.all[_VERSION])
             if now - version < 2:
                 break
@@ -307,7 +307,7 @@ def learn(name: str, task: LearnerTask) -> None:
         solver.add(rows[:, 1 : 1 + inputs], rows[:, 1 + inputs :])
         network = solver.solved()
         taken, trainings = given, trainings + 1
-        column = view.place(trainings)
+        column = view.slot_of(trainings)
         column[_SLOT_HEAD:] = np.vstack([network.weights[0], network.biases[0]]).ravel()
         column[0], column[1], column[2] = rows[-1, 0], time.perf_counter() - began_s, trainings
         view.all[_VERSION] = trainings

@@ -161,7 +161,7 @@ class HasSites(Protocol):
     def outputs(self) -> Sequence[object]:
         """One for each signal it gives."""
 
-    def place(self, name: str, kind: SiteKind | None = None, /) -> Site:
+    def site_named(self, name: str, kind: SiteKind | None = None, /) -> Site:
         """Return the site of that name and kind."""
 
 
@@ -347,7 +347,7 @@ class AttachedEffect:
         ModelError
             The model has no such site, the site lacks what the effect needs, or a value is missing or not a number.
         """
-        site = model.place(self.site, self.effect.kind)
+        site = model.site_named(self.site, self.effect.kind)
         for need in self.effect.needs:
             if not getattr(site, need):
                 raise ModelError(

@@ -51,14 +51,14 @@ def workers(count: int) -> Iterator[Each]:
             if ended.is_set():
                 return one_by_one(work, items)
             items, unwanted = list(items), threading.Event()
-            messages = (*_unwanted(), unwanted)
-            places, results = iter(range(len(items))), dict[int, Result]()
+            events = (*_unwanted(), unwanted)
+            positions, results = iter(range(len(items))), dict[int, Result]()
 
             def take() -> None:
                 before = _unwanted()
-                _OF_THREAD.unwanted = messages
+                _OF_THREAD.unwanted = events
                 try:
-                    for position in places:  # whichever thread asks first
+                    for position in positions:  # whichever thread asks first
                         stop_if_told()
                         results[position] = work(items[position])
                 except BaseException:

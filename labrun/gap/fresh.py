@@ -289,12 +289,12 @@ def _prediction(
     means = np.maximum(sums.sum(axis=1) / counts.sum(), 1e-300)
     relative = sums / means[:, None] - counts
     values = np.sqrt(means)
-    message = [_estimate(value, relative[model], counts, unit, rng) for model, value in enumerate(values)]
+    estimates = [_estimate(value, relative[model], counts, unit, rng) for model, value in enumerate(values)]
     ratio = None
-    if len(message) > 1:
+    if len(estimates) > 1:
         ratio = _estimate(float(values[0] / values[1]), relative[0] - relative[1], counts, "1", rng)
-    before = message[1] if len(message) > 1 else None
-    return Prediction(output, horizon_s, message[0], before, ratio, int(counts.sum()))
+    before = estimates[1] if len(estimates) > 1 else None
+    return Prediction(output, horizon_s, estimates[0], before, ratio, int(counts.sum()))
 
 
 def _estimate(

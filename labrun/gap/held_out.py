@@ -179,13 +179,13 @@ def _block_residuals(problem: Problem, z: FloatArray) -> list[tuple[FloatArray, 
         return list(zip(residual, beyond, strict=True))
     jacobian = problem.jacobian(z, central=False)
     known = information(problem, z, jacobian)
-    number = [np.arange(len(rows)) * blocks // len(rows) for rows in residual]
+    block_of = [np.arange(len(rows)) * blocks // len(rows) for rows in residual]
     for block in range(blocks):
-        part = problem.with_seen([np.where(rows == block, 0.0, 1.0) for rows in number])
+        part = problem.with_seen([np.where(rows == block, 0.0, 1.0) for rows in block_of])
         end = _learned(part, z, _seen_rows(jacobian, part), known)
         for index, outputs in enumerate(_predicted(part, end)):
-            there = number[index] == block
-            residual[index][there] = (problem.data.trials[index].outputs - outputs)[there]
+            withheld = block_of[index] == block
+            residual[index][withheld] = (problem.data.trials[index].outputs - outputs)[withheld]
     return list(zip(residual, beyond, strict=True))
 
 
@@ -215,15 +215,15 @@ def not_withheld(problem: Problem, z: FloatArray, jacobian: Jacobian) -> tuple[s
         return ()
     known = information(problem, z, jacobian)
     everything = range(len(problem.data.trials))
-    indices = set()
+    names = set()
     for left_out in folds(groups):
         train = [index for index in everything if problem.data.trials[index].group not in left_out]
         part = problem.part(train)
         start = np.concatenate([z[: problem.size], _own(problem, z, train)])
         stays = unseen(problem, known, information(part, start, jacobian.part(train)))
-        indices |= {problem.priors.names[variable] for variable in np.flatnonzero(stays)}
+        names |= {problem.priors.names[variable] for variable in np.flatnonzero(stays)}
     sentences = []
-    for name in sorted(indices):
+    for name in sorted(names):
         number, _, parameter = name.partition(".")
         effect = problem.effects[int(number)]
         sentences.append(

@@ -245,7 +245,7 @@ def effect_units(attached: AttachedEffect, model: Model, dataset: Dataset) -> di
         signals = dataset.inputs if attached.effect.kind == "input" else dataset.outputs
         signal = next((s.unit for s in signals if s.name == attached.site), "1")
     else:
-        site = model.place(attached.site, attached.effect.kind)
+        site = model.site_named(attached.site, attached.effect.kind)
         coordinate = model.coordinate_unit(site, dataset.signal_units)
     return {
         parameter.name: unit_of(parameter.quantity, coordinate, signal)

@@ -121,11 +121,11 @@ def _predictions(neurons: FloatArray, wanted: FloatArray, group: FloatArray) -> 
     """Return what is predicted of samples whose group was withheld, for several strengths of the ridge."""
     from scipy.linalg import solve
 
-    names, ridges = np.unique(group), np.array(_RIDGES) * len(wanted)
+    groups, ridges = np.unique(group), np.array(_RIDGES) * len(wanted)
     predictions = [np.zeros_like(wanted) for _ in ridges]
     whole, answer, identity = neurons.T @ neurons, neurons.T @ wanted, np.eye(neurons.shape[1])
-    for name in names:
-        test = group == name
+    for withheld in groups:
+        test = group == withheld
         inside = neurons[test]
         left, right = whole - inside.T @ inside, answer - inside.T @ wanted[test]
         for predicted, ridge in zip(predictions, ridges, strict=True):

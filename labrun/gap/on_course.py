@@ -144,22 +144,22 @@ def _linearised(model: Model, trial: FitTrial) -> tuple[FloatArray, FloatArray]:
 
     vs = {output.name: float(v) for output, v in zip(model.outputs, values[0], strict=True)}
     x = model.initial_state(trial.condition, first={**vs, **model.told_first(trial.inputs[0])}, free=vs)
-    places = np.linspace(0, len(trial.time_s) - 1, _PLACES_ALONG).astype(int)
-    found_a, found_c = [], []
-    for location in places:
-        u = np.ascontiguousarray(trial.inputs[location])
+    samples = np.linspace(0, len(trial.time_s) - 1, _PLACES_ALONG).astype(int)
+    drifts, readouts = [], []
+    for sample in samples:
+        u = np.ascontiguousarray(trial.inputs[sample])
         for _ in range(_STATE_STEPS):  # states that show what was measured, and its rate
             dx, y = at(x, u)
             a, c = slopes(x, u)
-            short = np.concatenate([(values[location] - y) / size, (rates[location] - c @ dx) / speed])
+            short = np.concatenate([(values[sample] - y) / size, (rates[sample] - c @ dx) / speed])
             rows = np.concatenate([c / size[:, None], (c @ a) / speed[:, None]])
             if not (np.isfinite(rows).all() and np.isfinite(short).all()):
                 return np.full((1, count, count), np.nan), np.full((1, outputs, count), np.nan)
             x = x + np.linalg.lstsq(rows, short, rcond=1e-9)[0]
         a, c = slopes(x, u)
-        found_a.append(a)
-        found_c.append(c)
-    return np.array(found_a), np.array(found_c)
+        drifts.append(a)
+        readouts.append(c)
+    return np.array(drifts), np.array(readouts)
 
 
 def _leaves(model: Model, dataset: Dataset, trials: list[FitTrial]) -> bool:

@@ -228,8 +228,10 @@ def _load_of(problem: Problem, z: FloatArray, site: Site) -> float:
 
 def _in_multiples(term: str, *, sign: str, **sizes: float) -> str:
     """Return a term with each quantity over its typical size: ``(rate/3.2)^3``."""
-    message = {name: f"({name}/{_number(size)})" for name, size in sizes.items()} | {"sign": f"tanh({sign})"}
-    return re.sub(r"[a-z]+", lambda match: message.get(match[0], match[0]), term)
+    multiples = {name: f"({name}/{_number(size)})" for name, size in sizes.items()} | {
+        "sign": f"tanh({sign})"
+    }
+    return re.sub(r"[a-z]+", lambda match: multiples.get(match[0], match[0]), term)
 
 
 def _number(value: float) -> str:

@@ -145,16 +145,16 @@ def simulated_changes(problem: Problem, z: FloatArray) -> dict[tuple[DeviationKi
         steps["input bias", column] = _NUDGE * float(np.max(np.abs(inputs[:, column])))
         steps["input gain", column] = _NUDGE
     by_change = {}
-    for (kind, name), step in steps.items():
-        if (kind, name) in [(deviation.kind, deviation.output) for deviation in problem.deviations]:
+    for (kind, output), step in steps.items():
+        if (kind, output) in [(deviation.kind, deviation.output) for deviation in problem.deviations]:
             continue
-        nudged = replace(problem, deviations=(*problem.deviations, Deviation(kind, name, step)))
+        nudged = replace(problem, deviations=(*problem.deviations, Deviation(kind, output, step)))
         changes = []
         for index, (trial, outputs) in enumerate(zip(problem.data.trials, before, strict=True)):
             own = np.append(problem.own(z, index), np.sqrt(trial.count))
             after = nudged.simulate(parameters, index, own)
             changes.append(np.zeros_like(outputs) if after is None else (after - outputs) / step)
-        by_change[kind, name] = changes
+        by_change[kind, output] = changes
     return by_change
 
 
@@ -260,8 +260,8 @@ def found_alone(
         ]
         for kind, output in kinds
     }
-    for name, change in (changes or {}).items():
-        shapes[name] = list(change)
+    for key, change in (changes or {}).items():
+        shapes[key] = list(change)
     begin = [_samples_within(short_s, trial.time_s) for trial in units.trials]
     shared_deviations, alone, left = list[Deviation](), list[Deviation](), list(residual)
     while len(shared_deviations) < _MOST_DEVIATIONS:

@@ -31,7 +31,7 @@ class Wanted:
         What a log may call it; the first is the joint's or the channel's own.
     roles
         What its column may be, most likely first.
-    place, width
+    index, width
         Which one of how many it is, in the robot's own order.
     range
         What the joint can do, in `unit`; None where it can turn without end, or nobody says.
@@ -42,7 +42,7 @@ class Wanted:
     kind: Literal["input", "output"]
     names: tuple[str, ...]
     roles: tuple[Role, ...]
-    place: int = 0
+    index: int = 0
     width: int = 1
     range: tuple[float, float] | None = None
 
@@ -202,7 +202,7 @@ def _candidates(
             named = [
                 (s, c) for s, c in pairs
                 if c.role == role and c.by_order and not c.stem and c.width == channel.width
-                and c.place == channel.place
+                and c.index == channel.index
             ]  # fmt: skip
         if named:
             return named
@@ -249,17 +249,17 @@ def _question(
 
 
 def _proposal(channel: Wanted, free: Sequence[tuple[Stream, Column]]) -> tuple[Stream, Column] | None:
-    """Return the column that a channel most likely is: by a name that is alike, its place, or its number."""
+    """Return the column that a channel most likely is: by a name that is alike, its index, or its number."""
     pairs = [(stream, column) for stream, column in free if column.role in channel.roles]
     stems = [plain(column.stem) for _, column in pairs]
     near = difflib.get_close_matches(plain(channel.names[0]), stems, 1, 0.5)
     if near:
         return pairs[stems.index(near[0])]
-    alone = [pair for pair in pairs if pair[1].place is None and not pair[1].stem and channel.width == 1]
-    placed = next((p for p in pairs if p[1].place == channel.place and p[1].width == channel.width), None)
+    alone = [pair for pair in pairs if pair[1].index is None and not pair[1].stem and channel.width == 1]
+    placed = next((p for p in pairs if p[1].index == channel.index and p[1].width == channel.width), None)
     if placed is not None or len(alone) == 1:
         return placed or alone[0]
-    by_number = numbered(channel.place, channel.width, pairs)
+    by_number = numbered(channel.index, channel.width, pairs)
     if by_number is not None:
         return by_number
     if channel.kind == "input":  # two topics of positions: the goals are told by the poorer

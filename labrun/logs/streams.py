@@ -64,7 +64,7 @@ class Column:
         Not a number where the log has none.
     unit
         That its format, its header or its name states; "" for none.
-    place, width
+    index, width
         Which part of a vector of how many it is; None where it stands alone.
     by_order
         Whether the vector's order is the robot's own, as MuJoCo's ``qpos`` and ``ctrl``.
@@ -75,7 +75,7 @@ class Column:
     role: Role
     values: FloatArray
     unit: str = ""
-    place: int | None = None
+    index: int | None = None
     width: int | None = None
     by_order: bool = False
 

@@ -223,16 +223,16 @@ def _without_numbers(
 ) -> list[Finding]:
     """Return what is said of cells that hold no number; refuse a column that has too many of them."""
     findings: list[Finding] = []
-    for name, (count, line, what) in bad.items():
-        if np.isnan(table[:, name]).all():
+    for column, (count, line, what) in bad.items():
+        if np.isnan(table[:, column]).all():
             continue
         if count > _MOST_BAD_CELLS * len(table):
             raise RecordingError(
-                f"{path}:{line}: column {header[name]!r} holds {what!r}, and no number in {count} of {len(table)} "
+                f"{path}:{line}: column {header[column]!r} holds {what!r}, and no number in {count} of {len(table)} "
                 "rows",
                 hint=_EXPECTED,
             )
-        text = f"column {header[name]} has {count} cells without a number, first {what!r} in line {line}"
+        text = f"column {header[column]} has {count} cells without a number, first {what!r} in line {line}"
         findings.append(Statement(f"{path.name}: {text}"))
     return findings
 

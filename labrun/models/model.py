@@ -197,7 +197,7 @@ class Model:
         outputs = [Site(output.name, "output") for output in self.outputs if not output.followed]
         return (*self.sites, *inputs, *outputs)
 
-    def place(self, name: str, kind: SiteKind | None = None) -> Site:
+    def site_named(self, name: str, kind: SiteKind | None = None) -> Site:
         """Return the site of that name (and kind); a force site goes before an input, an input before an output.
 
         Raises

@@ -136,7 +136,7 @@ def _attached(file: ModelFile, path: KeyPath, table: EffectTable, model: Model) 
 def _effect(file: ModelFile, path: KeyPath, table: EffectTable, model: Model) -> Effect | None:
     """Return the one effect of the table's name that sits at one of the kinds of sites of its site's name."""
     try:
-        model.place(table.site, table.kind)
+        model.site_named(table.site, table.kind)
     except ModelError as error:
         file.note((*path, "site"), str(error.args[0]), error.hint)
         return None

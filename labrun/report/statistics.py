@@ -91,11 +91,13 @@ def repeatability_columns(repeatabilities: Sequence[Repeatability]) -> tuple[str
     return "sd within a mounting", "sd between mountings", "sd between conditions"
 
 
-def standard_deviations(item: Repeatability, repeatabilities: Sequence[Repeatability]) -> list[float | None]:
+def standard_deviations(
+    repeatability: Repeatability, repeatabilities: Sequence[Repeatability]
+) -> list[float | None]:
     """Return what stands under `repeatability_columns` for one objective."""
     if all(other.mounting_sd is None for other in repeatabilities):
-        return [item.sd, item.between_sd]
-    return [item.sd, item.mounting_sd, item.between_sd]
+        return [repeatability.sd, repeatability.between_sd]
+    return [repeatability.sd, repeatability.mounting_sd, repeatability.between_sd]
 
 
 def drift(view: RunView) -> list[Drift]:

@@ -139,7 +139,7 @@ def heading(figure: Figure, title: str, subtitle: str) -> None:
     figure.text(0.012, 1 - 0.36 / height, "\n".join(lines), ha="left", va="top", fontsize=9, color="#444444")
 
 
-def beside(
+def annotate_point(
     axes: Axes, text: str, at: tuple[float, float], offset_pt: tuple[float, float] = (4, 0), **look: Any
 ) -> None:
     """Write a text so far from a point of the data."""

@@ -131,7 +131,7 @@ def _print_recording(recording: Mapping[str, Any], console: Console) -> None:
     for channel in recording["channels"]:
         channels.add_row(channel["name"], channel["kind"], channel["unit"], f"{channel['rate_hz']:.4g} Hz")
     console.print(channels)
-    if all("means" in item for item in recording["conditions"]):
+    if all("means" in condition for condition in recording["conditions"]):
         console.print(_table_of_numbers(recording))
     else:
         console.print(_trials_by_condition(recording))
@@ -146,20 +146,22 @@ def _table_of_numbers(recording: Mapping[str, Any]) -> Table:
     """Return a recording without a course in time as the table that it is."""
     columns = [with_unit(channel["name"], channel["unit"]) for channel in recording["channels"]]
     table = _table("means by condition", "condition", "trials", *columns)
-    for item in recording["conditions"]:
-        numbers = [f"{item['means'][channel['name']]:.4g}" for channel in recording["channels"]]
-        table.add_row(condition_text(item["condition"]) or "(none given)", str(item["trials"]), *numbers)
+    for condition in recording["conditions"]:
+        numbers = [f"{condition['means'][channel['name']]:.4g}" for channel in recording["channels"]]
+        table.add_row(
+            condition_text(condition["condition"]) or "(none given)", str(condition["trials"]), *numbers
+        )
     return table
 
 
 def _trials_by_condition(recording: Mapping[str, Any]) -> Table:
-    conditions = _table("trials by condition", "condition", "trials", "done", "duration")
-    for item in recording["conditions"]:
-        shortest, longest = f"{item['shortest_s']:.4g}", f"{item['longest_s']:.4g}"
+    table = _table("trials by condition", "condition", "trials", "done", "duration")
+    for condition in recording["conditions"]:
+        shortest, longest = f"{condition['shortest_s']:.4g}", f"{condition['longest_s']:.4g}"
         lasted = f"{longest} s" if shortest == longest else f"{shortest} to {longest} s"
-        name = condition_text(item["condition"]) or "(none given)"
-        conditions.add_row(name, str(item["trials"]), str(item["done"]), lasted)
-    return conditions
+        name = condition_text(condition["condition"]) or "(none given)"
+        table.add_row(name, str(condition["trials"]), str(condition["done"]), lasted)
+    return table
 
 
 def _best(best: Best) -> Text:
@@ -200,10 +202,10 @@ def _table(title: str, *columns: str) -> Table:
 
 def _repeatability(repeatabilities: Sequence[Repeatability]) -> Table:
     table = _table("repeatability", "objective", *repeatability_columns(repeatabilities), "freedom")
-    for item in repeatabilities:
-        sds = standard_deviations(item, repeatabilities)
-        cells = ["" if sd is None else quantity_text(sd, item.unit) for sd in sds]
-        table.add_row(item.objective, *cells, str(item.degrees_of_freedom))
+    for repeatability in repeatabilities:
+        sds = standard_deviations(repeatability, repeatabilities)
+        cells = ["" if sd is None else quantity_text(sd, repeatability.unit) for sd in sds]
+        table.add_row(repeatability.objective, *cells, str(repeatability.degrees_of_freedom))
     return table
 
 
@@ -211,10 +213,10 @@ def _drift(drifts: Sequence[Drift]) -> Table:
     table = _table(
         "drift, by reference trials", "objective", "per hour of bench time, 95 % interval", "trials", ""
     )
-    for item in drifts:
-        slope = interval_text(item.slope_per_h, item.ci95, f"{item.unit}/h")
-        verdict = Text("drifts", style="yellow") if item.visible else Text("none visible")
-        table.add_row(item.objective, slope, str(item.trials), verdict)
+    for drift in drifts:
+        slope = interval_text(drift.slope_per_h, drift.ci95, f"{drift.unit}/h")
+        verdict = Text("drifts", style="yellow") if drift.visible else Text("none visible")
+        table.add_row(drift.objective, slope, str(drift.trials), verdict)
     return table
 
 
@@ -225,16 +227,16 @@ def _streams(findings: Findings) -> Table:
     columns = ("device", "rate, nominal (Hz)", "jitter", *clock, "samples", "lost", "saturated")
     table = _table(title, *columns)
     table.collapse_padding = True  # with short words, all of it fits a terminal of 80 columns
-    for item in findings.streams:
-        style = "yellow" if item.lost or item.saturated else ""
+    for stream in findings.streams:
+        style = "yellow" if stream.lost or stream.saturated else ""
         table.add_row(
-            item.device,
-            f"{item.actual_hz:.4g}, {item.nominal_hz:.4g}",
-            f"{1000 * item.jitter_s:.2g} ms" if item.jitter_s > LEAST_JITTER_S else "0 ms",
-            *(() if findings.dry_run else clock_text(item)),
-            str(item.samples),
-            f"{item.lost} ({share_text(item.lost_share)})",
-            str(item.saturated),
+            stream.device,
+            f"{stream.actual_hz:.4g}, {stream.nominal_hz:.4g}",
+            f"{1000 * stream.jitter_s:.2g} ms" if stream.jitter_s > LEAST_JITTER_S else "0 ms",
+            *(() if findings.dry_run else clock_text(stream)),
+            str(stream.samples),
+            f"{stream.lost} ({share_text(stream.lost_share)})",
+            str(stream.saturated),
             style=style,
         )
     return table

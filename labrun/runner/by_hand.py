@@ -189,7 +189,9 @@ class Mountings:
         last = self._mounted[-1] if self._mounted else None
         first = "Take it out, and then anew: " if last is not None and last.values == coming.values else ""
         total = self._count + len(self._coming)
-        return f"{first}{table.told(coming.values, self._units)} (mounting {self._count + 1} of {total})"
+        return (
+            f"{first}{table.instruction(coming.values, self._units)} (mounting {self._count + 1} of {total})"
+        )
 
     def _name(self, mounting: Mounting) -> str:
         return f"mounting {mounting.number} ({condition_text(mounting.values, self._units)})"

@@ -178,11 +178,11 @@ def within_bounds(recorder: Recorder, experiment: Experiment) -> Recorder:
         watched = recording.collector = _Watched(recording.collector, bounds, recording.tare)
         on_begin = recording.on_begin
 
-        def begun(start_s: float) -> None:
+        def on_start(start_s: float) -> None:
             watched.ends_s = start_s + recording.motion.duration_s
             on_begin(start_s)
 
-        recording.on_begin = begun
+        recording.on_begin = on_start
         try:
             recorder(recording)
         except _LeftError as left:

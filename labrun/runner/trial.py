@@ -238,14 +238,16 @@ class TrialRunner:
             tare=draft.outcome.tare,
         )
 
-        def begun(start_s: float) -> None:
+        def on_start(start_s: float) -> None:
             draft.know(started_s=start_s)
             draft.recorded = True
             getattr(self._rig.scene, "begin", lambda _: None)(start_s)
 
         for device in self._rig.paced.values():
             device.restart_pacing()  # what moved it here does not count
-        recording = TrialRecording(self._bench, motion, request, draft.outcome.tare, draft.collector, begun)
+        recording = TrialRecording(
+            self._bench, motion, request, draft.outcome.tare, draft.collector, on_start
+        )
         draft.recording = recording
         recording.move_speed_rad_s = self._speed_rad_s
         recording.remark = lambda text: self._journal("remark", index=request.index, text=text)

@@ -75,7 +75,7 @@ class NoCandidateError(PlanError):
 class Searched:
     """All that a search measured, and what it came to."""
 
-    found: list[Measured]
+    measured: list[Measured]
     verdict: Verdict
 
 
@@ -114,7 +114,7 @@ def search_by_cmaes(
         A replayed generation differs from the stored one.
     """
     search = _Search(experiment, session, folder, feasibility, seed, progress, level or {}, number)
-    return Searched(search.found, search.run())
+    return Searched(search.measured, search.run())
 
 
 @dataclass
@@ -142,7 +142,7 @@ class _Search:
         self._watch = StopWatch(self._table.stop)
         self._spreads: list[float] = []
         self._population = self._table.population_size
-        self.found: list[Measured] = []
+        self.measured: list[Measured] = []
 
     def run(self) -> Verdict:
         """Run the search and its restarts."""
@@ -248,7 +248,7 @@ class _Search:
         for item, measurement in zip(distinct, measurements, strict=True):
             item.values += measurement.values(self._objective).tolist()
             item.truncation = measurement.truncation(self._objective) or item.truncation
-        self.found += measurements
+        self.measured += measurements
         self._watch.trials += sum(len(measurement.outcomes) for measurement in measurements)
 
     def _condition(self, point: FloatArray) -> Condition:

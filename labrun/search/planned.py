@@ -210,10 +210,10 @@ def excess_at_settings(excess_of: LimitExcesses, settings: Sequence[Condition]) 
     def excess(condition: Condition) -> list[Excess]:
         excesses: dict[str, Excess] = {}
         for setting in at_settings([condition], settings):
-            for item in excess_of(setting):
-                known = excesses.get(item.quantity)
-                if known is None or abs(item.value - item.bound) > abs(known.value - known.bound):
-                    excesses[item.quantity] = item
+            for exceeded in excess_of(setting):
+                known = excesses.get(exceeded.quantity)
+                if known is None or abs(exceeded.value - exceeded.bound) > abs(known.value - known.bound):
+                    excesses[exceeded.quantity] = exceeded
         return list(excesses.values())
 
     return excess

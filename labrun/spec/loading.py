@@ -156,7 +156,7 @@ class LoadedExperiment:
     resolved_toml: str
     origins: Mapping[KeyPath, str] = field(default_factory=dict, compare=False)
 
-    def place(self, key: KeyPath) -> str:
+    def origin_of(self, key: KeyPath) -> str:
         """Return where the value of a key comes from: "file:line:column", or the override that brought it."""
         for path, override in self.origins.items():
             if key[: len(path)] == path:

@@ -28,8 +28,8 @@ class ByHand(Table):
         """Return what of a condition is set by hand."""
         return {name: condition[name] for name in self.names if name in condition}
 
-    def told(self, values: Condition, units: Mapping[str, str]) -> str:
-        """Return what the person is told, with the values filled in."""
+    def instruction(self, values: Condition, units: Mapping[str, str]) -> str:
+        """Return the instruction to the person, with the values filled in."""
         texts = {name: value_text(value, units.get(name, "")) for name, value in values.items()}
         if not self.ask:
             return "Set " + ", ".join(f"{name} = {text}" for name, text in texts.items())

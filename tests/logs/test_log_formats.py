@@ -212,7 +212,7 @@ def test_topics_of_px4_are_read_with_their_own_stamps(tmp_path):
     fast = streams["/actuator_controls"]
     assert np.diff(fast.time_s) == pytest.approx(0.004)
     assert np.diff(streams["/wheel_encoders"].time_s) == pytest.approx(0.02)
-    first = next(column for column in fast.columns if column.place == 0)
+    first = next(column for column in fast.columns if column.index == 0)
     assert first.role == "command"
     assert first.values == pytest.approx(np.sin(0.1 * np.arange(200)), abs=1e-6)
 

@@ -157,11 +157,11 @@ def test_a_parameter_that_only_a_load_uses_is_noted():
 def test_an_unknown_site_is_told_with_the_nearest_one():
     model = parse_model(OSCILLATOR, "o.toml")
     with pytest.raises(ModelError, match=r"oscillator has no site 'hing'\n  did you mean .hinge."):
-        model.place("hing")
+        model.site_named("hing")
     with pytest.raises(ModelError, match=r"has no output site 'hinge'"):
-        model.place("hinge", "output")
+        model.site_named("hinge", "output")
     with pytest.raises(ModelError, match=r"has no joint site 'hinge'\n  it has no joint site at all"):
-        parse_model(FOLLOWER, "f.toml").place("hinge", "joint")
+        parse_model(FOLLOWER, "f.toml").site_named("hinge", "joint")
 
 
 EQUATION_FAULTS = {

@@ -54,7 +54,7 @@ speed = 0.0
 )
 def test_the_unit_is_said_or_shown_or_that_of_the_spring_or_of_the_kind(message, output, spring, kind, unit):
     model = parse_model(MODEL.format(said=message, output=output, spring=spring, kind=kind), "slide.toml")
-    assert model.coordinate_unit(model.place("slide")) == unit
+    assert model.coordinate_unit(model.site_named("slide")) == unit
 
 
 def test_a_coordinate_that_is_an_input_has_the_unit_of_its_recording():
@@ -68,4 +68,4 @@ def test_a_coordinate_that_is_an_input_has_the_unit_of_its_recording():
         .format(said="", output="", spring="1/s^2", kind="joint"),
         "slide.toml",
     )
-    assert model.coordinate_unit(model.place("slide"), {"way": "m"}) == "m"
+    assert model.coordinate_unit(model.site_named("slide"), {"way": "m"}) == "m"

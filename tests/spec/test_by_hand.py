@@ -26,8 +26,8 @@ axes = { specimen = ["p1", "p2"], v = [1, 2] }
 def test_the_person_is_told_the_values():
     table = ByHand(names=["mass", "specimen"], ask="Hang {mass} on {specimen} {here}")
     values = table.values({"v": 1.0, "mass": 0.5, "specimen": "p1"})
-    assert table.told(values, {"mass": "kg"}) == "Hang 0.5 kg on p1 {here}"
-    assert ByHand(names=["mass"]).told({"mass": 0.5}, {}) == "Set mass = 0.5"
+    assert table.instruction(values, {"mass": "kg"}) == "Hang 0.5 kg on p1 {here}"
+    assert ByHand(names=["mass"]).instruction({"mass": 0.5}, {}) == "Set mass = 0.5"
 
 
 @pytest.mark.parametrize(

@@ -30,10 +30,10 @@ class Drive:
         """Return the inputs (inputs, trials) at a time, as seen from `inside`, which tells the side of a jump."""
         u = np.empty((self.count, self.trials))
         for row in range(self.count):
-            u[row] = self.one(row, t, inside)
+            u[row] = self.signal(row, t, inside)
         return u
 
-    def one(self, row: int, t: float, inside: float) -> FloatArray:
+    def signal(self, row: int, t: float, inside: float) -> FloatArray:
         """Return one input (trials,); before zero it is its first sample, after the last its last."""
         # a sample's time divided by the step may fall a rounding error short of its number
         k = int(np.floor(inside / self.step_s + 1e-9))
@@ -52,7 +52,9 @@ class Drive:
         step_s = self.step_s / parts
         count = (self.samples - 1) * parts + 1
         # a point of the fine grid on a sample is seen from after it
-        signal = np.array([self.one(row, index * step_s, (index + 1e-3) * step_s) for index in range(count)])
+        signal = np.array(
+            [self.signal(row, index * step_s, (index + 1e-3) * step_s) for index in range(count)]
+        )
         return step_s, signal
 
 
@@ -126,9 +128,9 @@ class Bench:
         plain = u.copy() if self.parts.inputs else u
         for hidden_part, rows, row in self.parts.inputs:
             shift = hidden_part.mechanism.shift_s(hidden_part.size) if hidden_part.mechanism.shift_s else 0.0
-            now = self.drive.one(row, t - shift, inside - shift) if shift else u[row]
+            now = self.drive.signal(row, t - shift, inside - shift) if shift else u[row]
             if row in self.worked_out:
-                now = self.worked_out[row].one(0, t, t)
+                now = self.worked_out[row].signal(0, t, t)
             u[row], dz[rows] = hidden_part.apply(t, z[rows], now, plain)
         return u
 

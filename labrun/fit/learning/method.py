@@ -54,7 +54,7 @@ class TrainingSamples:
         Of whole trials, or of blocks of time where there are too few trials to withhold some.
     input_units, output_units
         By name, in the order of the columns.
-    data, told
+    data, data_note
         What the fit says it was made of, and what of it was withheld.
     """
 
@@ -64,7 +64,7 @@ class TrainingSamples:
     input_units: Mapping[str, str]
     output_units: Mapping[str, str]
     data: FittedData
-    told: str
+    data_note: str
 
     @property
     def training(self) -> tuple[FloatArray, FloatArray]:
@@ -76,7 +76,7 @@ class TrainingSamples:
         """What is withheld."""
         return self.inputs[self.withheld], self.outputs[self.withheld]
 
-    def beside(self, inverse: str) -> "TrainingSamples":
+    def residual_to(self, inverse: str) -> "TrainingSamples":
         """Return them with what an analytic inverse of the inputs leaves of the outputs; all of it without a name."""
         if not inverse:
             return self
@@ -249,7 +249,7 @@ def fit_network(samples: TrainingSamples, table: NetworkTable, seed: int) -> Fit
 
     Raises FitError: the training did not come to finite weights.
     """
-    samples = samples.beside(table.inverse)
+    samples = samples.residual_to(table.inverse)
     network, took_s = train(table.training, *samples.training, seed=seed)
     if not network.finite:
         raise FitError("the training came to weights that are no finite numbers", hint="try another solver")
@@ -316,7 +316,7 @@ def _summary(
         model_name="mlp",
         data=samples.data,
         parameters={},
-        tables=(TextTable(f"mean absolute error, {unit}; {samples.told}", head, tuple(rows)),),
+        tables=(TextTable(f"mean absolute error, {unit}; {samples.data_note}", head, tuple(rows)),),
         findings=(*findings, _TAKEN_OVER),
         details={
             "errors": {
@@ -338,7 +338,7 @@ def _figure(settings: MlpSettings, samples: TrainingSamples, fitted: Mapping[str
     unit, rows = settings.unit or "1", []
     for name, learner in fitted.items():
         inverse = settings.networks[name].inverse
-        inputs, wanted = (part[:_SHOWN] for part in samples.beside(inverse).testing)
+        inputs, wanted = (part[:_SHOWN] for part in samples.residual_to(inverse).testing)
         time_s: FloatArray = np.arange(len(wanted), dtype=np.float64) / settings.rate_hz
         stacks = []
         for output, measured, predicted in zip(

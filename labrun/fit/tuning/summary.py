@@ -118,14 +118,14 @@ def _interval(ends: tuple[float, float], decimals: int) -> str:
 
 def findings(study: Study) -> list[str]:
     """Return what the designs show, the recommendation first."""
-    message = [*_recommended(study), *_limits(study.loop, study), *_proportional(study)]
-    message += [
+    sentences = [*_recommended(study), *_limits(study.loop, study), *_proportional(study)]
+    sentences += [
         sentence
         for design in study.designs
         if design.source == "given"
         for sentence in _verdict(design, study)
     ]
-    return message
+    return sentences
 
 
 def warnings(study: Study) -> list[str]:

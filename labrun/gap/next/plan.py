@@ -196,11 +196,11 @@ def plan_trials(
     base = problem.residuals(z)
     tried = each(lambda arguments: _tried(problem, z, base, imitation, *arguments), library)
     chosen = _chosen(kept, tried, imitation)
-    messages = [
+    visibilities = [
         _visible(effect, imitation, chosen, effect_units(effect.attached, model, data)) for effect in tried
     ]
-    held = _held_against(messages, tried, imitation, chosen)
-    held.sort(key=lambda visible: visible.size is None)
+    held = _held_against(visibilities, tried, imitation, chosen)
+    held.sort(key=lambda visibility: visibility.size is None)
     trials = tuple(kept[index] for index in chosen)
     plan = bench.plan(trials)
     if bench.set_by_hand:
@@ -210,7 +210,7 @@ def plan_trials(
             "noise is assumed where it is not stated: --noise OUTPUT=SIZE states it, sizes scale with it"
         )
     if out is not None:
-        seen = sum(visible.size is not None for visible in held)
+        seen = sum(visibility.size is not None for visibility in held)
         remarks = [
             f"Planned before any data: these trials make {seen} of {len(held)} effects visible, see labrun gap plan."
         ]

@@ -140,7 +140,7 @@ class Proposal:
                 f"{len(self.trials)} trials, {self.repeats} repeats each, about {spoken(self.time_s)}:"
             )
             lines += [f"  {trial.label}" for trial in self.trials]
-        lines += told(self.outlook, self._words)
+        lines += _sentences(self.outlook, self._words)
         lines.append(self.conclusion)
         lines += self.advice
         lines += self.notes
@@ -167,16 +167,16 @@ def spoken(seconds: float) -> str:
     return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
 
 
-def told(outlook: Sequence[Evidence], words: Mapping[str, str]) -> list[str]:
+def _sentences(outlook: Sequence[Evidence], words: Mapping[str, str]) -> list[str]:
     """Return a sentence for every two explanations, the worse of the two ways round, in their words for people."""
     worst: dict[frozenset[str], Evidence] = {}
     for evidence in outlook:
         pair = frozenset((evidence.truth, evidence.rival))
         worst[pair] = min(worst.get(pair, evidence), evidence, key=lambda each: (each.told_apart, each.sigma))
-    return [_told(evidence, words[evidence.truth], words[evidence.rival]) for evidence in worst.values()]
+    return [_sentence(evidence, words[evidence.truth], words[evidence.rival]) for evidence in worst.values()]
 
 
-def _told(evidence: Evidence, truth: str, rival: str) -> str:
+def _sentence(evidence: Evidence, truth: str, rival: str) -> str:
     if evidence.by_simplicity:
         return f"if it is {truth}, {rival} can do the same with more parameters: the simpler is named"
     sigma = _number(evidence.sigma)
@@ -452,7 +452,7 @@ def _remarks(trials: ProposedTrials, time_s: float) -> list[str]:
     """Return the head of the file: what it is for."""
     words = {rival.name: rival.words for rival in trials.rivals.rivals}
     lines = [trials.rivals.why, f"Rig time of these trials: about {spoken(time_s)}. What to expect:"]
-    return [*lines, *(f"  {line}" for line in told(trials.evidence, words))]
+    return [*lines, *(f"  {line}" for line in _sentences(trials.evidence, words))]
 
 
 def _by_hand(names: Sequence[str], trials: Sequence[PlannedTrial], dataset: Dataset) -> list[str]:

@@ -140,21 +140,21 @@ def _looked(
     # the time that is left is shared by the joints that wait for one another
     left_s = max(deadline_s - time.perf_counter(), 0.0) * max(options.workers, 1) / len(places)
     drawn = dynamics.redrawn(np.random.default_rng(options.seed))
-    least = {name: _least_gap(joint, one_joint(drawn, name)) for name, joint in joints.items()}
+    least = {index: _least_gap(joint, one_joint(drawn, index)) for index, joint in joints.items()}
     asked = {
-        name: replace(
+        index: replace(
             options,
             within_s=left_s,
             workers=1,
             least_gap=max(options.least_gap, gap),
-            withhold=(*options.withhold, *(OF_A_TORQUE if joints[name].by_torque else ())),
+            withhold=(*options.withhold, *(OF_A_TORQUE if joints[index].by_torque else ())),
         )
-        for name, gap in least.items()
+        for index, gap in least.items()
     }
     answers: dict[int, Diagnosis] = {}
     began = time.perf_counter()
 
-    def told(text: str) -> None:
+    def announce(text: str) -> None:
         rest = len(joints) - len(answers)
         left = ""
         if answers and rest:
@@ -162,19 +162,23 @@ def _looked(
         note(f"{len(answers)} of {len(joints)} joints done{left}{text}")
 
     def here() -> Iterator[tuple[int, Diagnosis]]:
-        for name, joint in joints.items():
-            yield name, diagnose_dataset(joint.dataset, joint.model, asked[name], note=_about(joint, told))
+        for index, joint in joints.items():
+            yield (
+                index,
+                diagnose_dataset(joint.dataset, joint.model, asked[index], note=_about(joint, announce)),
+            )
 
     jobs = (
-        (name, diagnose_dataset, (joint.dataset, joint.model, asked[name])) for name, joint in joints.items()
+        (index, diagnose_dataset, (joint.dataset, joint.model, asked[index]))
+        for index, joint in joints.items()
     )
-    told("")
+    announce("")
     for index, answer in here() if there is None else spread(there, jobs):
         answers[index] = _announced(answer, least[index], dynamics.own.step_s)
         causes = " and ".join(cause.name.words for cause in answers[index].causes)
         finished(joints[index].joint.name, answers[index])
-        told(f"; {joints[index].joint.name}: {causes or answers[index].verdict}")
-    return [(joint, answers[name]) for name, joint in joints.items()]
+        announce(f"; {joints[index].joint.name}: {causes or answers[index].verdict}")
+    return [(joint, answers[index]) for index, joint in joints.items()]
 
 
 def _about(joint: OneJoint, note: Note) -> Note:

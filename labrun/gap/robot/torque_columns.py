@@ -445,13 +445,13 @@ class Regression:
         """
         total = np.zeros(len(self.log.tolerance))
         if freed is None:
-            total += self.link_directions @ values[self.places("link")]
+            total += self.link_directions @ values[self.columns_of("link")]
         for body, directions in self.freed_directions.items():
             if freed is None or body in freed:
-                total += directions @ values[self.places("freed", None, float(body))]
+                total += directions @ values[self.columns_of("freed", None, float(body))]
         return total.reshape(-1, 10)
 
-    def places(self, kind: str, joint: int | None = None, detail: float | None = None) -> IntArray:
+    def columns_of(self, kind: str, joint: int | None = None, detail: float | None = None) -> IntArray:
         """Return the places of columns of a kind."""
         return np.array(
             [

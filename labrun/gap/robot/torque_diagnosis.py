@@ -149,7 +149,7 @@ def _library(withhold: Collection[str]) -> set[str]:
 
 
 def _scales(data: Regression, units: LoggedUnits) -> list[int]:
-    return [int(location) for joint in units.unknown for location in data.places("scale", joint)]
+    return [int(location) for joint in units.unknown for location in data.columns_of("scale", joint)]
 
 
 def diagnose_torques(
@@ -322,7 +322,7 @@ class _Telling:
                 yield axis, float(first / mass) if mass else 0.0
             return
         if effect == "gravity-tilt":
-            roll, pitch = (float(values[location]) for location in self.data.places("tilt"))
+            roll, pitch = (float(values[location]) for location in self.data.columns_of("tilt"))
             yield from (("roll", roll), ("pitch", pitch))
             return
         own = {

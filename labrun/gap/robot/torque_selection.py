@@ -149,14 +149,14 @@ def candidates(regression: Regression, library: Collection[str]) -> list[Candida
         if effect.removeprefix(COUPLED) not in library:
             continue
         for joint in regression.looked_at:
-            others = [int(location) for kind in shared for location in regression.places(kind, joint)]
+            others = [int(location) for kind in shared for location in regression.columns_of(kind, joint)]
             if len(others) < len(shared):
                 continue
             details = sorted(
-                {regression.columns[location].detail for location in regression.places(own, joint)}
+                {regression.columns[location].detail for location in regression.columns_of(own, joint)}
             )
             for detail in details:
-                columns = frozenset(map(int, regression.places(own, joint, detail)))
+                columns = frozenset(map(int, regression.columns_of(own, joint, detail)))
                 scope = sorted({number for column in columns for number in regression.acting(column)})
                 shapes = int(own in ("stribeck", "cogging"))
                 site = regression.log.joints[joint]
@@ -166,11 +166,11 @@ def candidates(regression: Regression, library: Collection[str]) -> list[Candida
                     )
                 )
     everywhere = tuple(range(len(regression.looked_at)))
-    if "gravity-tilt" in library and len(regression.places("tilt")):
-        columns = frozenset(map(int, regression.places("tilt")))
+    if "gravity-tilt" in library and len(regression.columns_of("tilt")):
+        columns = frozenset(map(int, regression.columns_of("tilt")))
         made.append(Candidate("gravity-tilt", WHOLE, "base", columns, len(FORMS), everywhere))
     for body, name in enumerate(regression.log.regressor.bodies if "payload" in library else ()):
-        columns = frozenset(map(int, regression.places("freed", None, float(body))))
+        columns = frozenset(map(int, regression.columns_of("freed", None, float(body))))
         if columns:
             rank = len(FORMS) + 1 + (body != regression.log.regressor.tip)
             made.append(Candidate("payload", WHOLE, name, columns, rank, everywhere, 0, float(body)))
@@ -190,7 +190,7 @@ def select(
         Places of columns that are part of every model.
     """
     base = np.array(
-        sorted({*always, *(int(location) for kind in NUISANCE for location in regression.places(kind))}),
+        sorted({*always, *(int(location) for kind in NUISANCE for location in regression.columns_of(kind))}),
         dtype=np.int64,
     )
     every = candidates(regression, library)
@@ -225,7 +225,7 @@ def select(
 class _Search:
     """A search for causes, in units of what the best model so far leaves."""
 
-    found: Regression
+    regression: Regression
     evidence: LinearEvidence
     base: IntArray
     every: Sequence[Candidate]
@@ -237,16 +237,16 @@ class _Search:
     def reweigh(self, causes: Sequence[Candidate]) -> None:
         """Tell everything in units of what these causes leave, with links that stay within their tolerances."""
         active = self.active(causes)
-        self.evidence = replace(self.evidence, precision=self.found.evidence.precision)
+        self.evidence = replace(self.evidence, precision=self.regression.evidence.precision)
         for _ in range(2):
             errors = self.evidence.unseen(active)
-            self.evidence = self.evidence.reweighed(errors, self.found.independent)
+            self.evidence = self.evidence.reweighed(errors, self.regression.independent)
         self.evidence = self.tightened(active)
 
     def tightened(self, active: IntArray) -> LinearEvidence:
         """Return the evidence with links held so closely to what is stated that a model needs none beyond tolerance."""
-        links = self.found.places("link")
-        precision = self.found.evidence.precision
+        links = self.regression.columns_of("link")
+        precision = self.regression.evidence.precision
         # in units of their tolerances the squares of base parameters add up to a chi-square variable
         most = len(links) + criteria.WITHIN_TOLERANCES * np.sqrt(2.0 * len(links))
         evidence = replace(self.evidence, precision=precision)
@@ -265,7 +265,9 @@ class _Search:
         friction.
         """
         friction = [
-            int(location) for kind in ("coulomb", "viscous", "offset") for location in self.found.places(kind)
+            int(location)
+            for kind in ("coulomb", "viscous", "offset")
+            for location in self.regression.columns_of(kind)
         ]
         others = replace(self, base=np.array(sorted({*self.base.tolist(), *friction}), dtype=np.int64))
         others.reweigh([])
@@ -282,7 +284,7 @@ class _Search:
     def forward(self, causes: list[Candidate]) -> list[Candidate]:
         """Add causes one by one; where none helps alone, two of one joint together."""
         causes = list(causes)
-        for _ in range(_MOST_ROUNDS * len(self.found.looked_at)):
+        for _ in range(_MOST_ROUNDS * len(self.regression.looked_at)):
             self.reweigh(causes)
             added = self.best(causes, [[candidate] for candidate in self._offered(causes)])
             if not added:
@@ -355,7 +357,9 @@ class _Search:
         made = evidence.unseen_with(active, ordered, scopes)
         return [
             errors
-            if all(map(_is_possible, (self.found.columns[index] for index in group), values.mean(axis=0)))
+            if all(
+                map(_is_possible, (self.regression.columns[index] for index in group), values.mean(axis=0))
+            )
             else before
             for group, (errors, values) in zip(ordered, made, strict=True)
         ]
@@ -382,7 +386,8 @@ class _Search:
                 before = self.tightened(active).unseen(active)
                 base, with_it = (self.logs(errors, candidate.scope) for errors in (before, after))
                 possible = all(
-                    _is_possible(self.found.columns[column], values[column]) for column in candidate.columns
+                    _is_possible(self.regression.columns[column], values[column])
+                    for column in candidate.columns
                 )
                 if not (possible and decide.beats(with_it, base, units_of(base))):
                     needless.append((float(np.mean(base - with_it)), others))
@@ -442,7 +447,7 @@ class _Search:
             for row in near
             if row.name != candidate.name and len(row.columns - known) + row.shapes <= size
         ]
-        strata = self.found.evidence.strata
+        strata = self.regression.evidence.strata
         seen = np.isfinite(self.evidence.unseen(self.active(others))[:, list(candidate.scope)]).any(axis=1)
         drawn = decide.resamples(strata[seen], _DRAWS, rng)
         wins = decide.win_frequencies(base, errors, complexity, units_of(base), drawn)

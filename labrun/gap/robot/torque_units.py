@@ -44,12 +44,12 @@ def logged_units(data: Regression) -> LoggedUnits:
     """
     joints = data.looked_at
     factors = np.ones(len(data.log.joints))
-    scales = np.array([int(data.places("scale", joint)[0]) for joint in joints])
-    nuisances = np.sort(np.concatenate([data.places(kind) for kind in (*_FRICTION, *NUISANCE)]))
+    scales = np.array([int(data.columns_of("scale", joint)[0]) for joint in joints])
+    nuisances = np.sort(np.concatenate([data.columns_of(kind) for kind in (*_FRICTION, *NUISANCE)]))
     evidence = _cautious(data)
     before = evidence.unseen(nuisances)
     everywhere = np.arange(len(joints))
-    groups = [scales, *(data.places("freed", None, float(body)) for body in data.freed_directions)]
+    groups = [scales, *(data.columns_of("freed", None, float(body)) for body in data.freed_directions)]
     groups = [group for group in groups if len(group)]
     tables = [
         errors for errors, _ in evidence.unseen_with(nuisances, groups, [everywhere.tolist()] * len(groups))
@@ -94,7 +94,7 @@ def logged_units(data: Regression) -> LoggedUnits:
 def _cautious(data: Regression) -> LinearEvidence:
     """Return evidence in which stated masses hold: a trial tells a few independent numbers of each joint."""
     evidence = data.evidence
-    friction = np.concatenate([data.places(kind) for kind in _FRICTION])
+    friction = np.concatenate([data.columns_of(kind) for kind in _FRICTION])
     errors = evidence.unseen(friction)
     rows = np.array([gram.count.sum() for gram in evidence.grams])
     share = np.minimum(criteria.NUMBERS_A_TRIAL * len(data.log.courses) / np.maximum(rows, 1.0), 1.0)

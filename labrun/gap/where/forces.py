@@ -279,12 +279,12 @@ class _Search:
 
     def share(self, course: _Course) -> float:
         """Return the part of the excess that a course explains, less what it takes out of the noise."""
-        message = self._difference.noise.known
+        known = self._difference.noise.known
         count = sum(residual.size for residual in self._difference.residual) - self._nuisance.rank
-        excess = self._before - (count if message else 0.0)
+        excess = self._before - (count if known else 0.0)
         if excess <= 0:
             return 0.0
-        left = course.left - (self._expected if message else 0.0)
+        left = course.left - (self._expected if known else 0.0)
         return float(np.clip(1.0 - left / excess, 0.0, 1.0))
 
     def _left(self, residual: Sequence[FloatArray]) -> float:

@@ -27,7 +27,7 @@ from labrun.models.chains.geometry import (
     closing_jacobian,
     cross,
     multiply,
-    place,
+    set_poses,
     stacked,
     turned,
 )
@@ -140,7 +140,7 @@ def unconstrained(
         ``J' q'``.
     """
     count = tree[0]
-    place(tree, values, x, rotation, origin, axis, hinge)
+    set_poses(tree, values, x, rotation, origin, axis, hinge)
     for joint in range(count):
         base = FIRST_JOINT + PER_JOINT * joint
         push[joint] = (

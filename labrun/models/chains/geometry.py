@@ -122,7 +122,7 @@ def turned(rotation: FloatArray, vector: FloatArray, out: FloatArray) -> None:
 
 
 @kernel
-def place(
+def set_poses(
     tree: IntArray, values: Pointer, x: Pointer, rotation: FloatArray, origin: FloatArray, axis: FloatArray,
     hinge: FloatArray,
 ) -> None:  # fmt: skip

@@ -37,7 +37,7 @@ class _Layout:
         self.rotation, self.origin = np.empty((count, 3, 3)), np.empty((count, 3))
         self.axis, self.hinge = np.empty((count, 3)), np.empty((count, 3))
         self.values = values
-        geometry.place(self.tree, values, angles, self.rotation, self.origin, self.axis, self.hinge)
+        geometry.set_poses(self.tree, values, angles, self.rotation, self.origin, self.axis, self.hinge)
 
     def apart(self) -> FloatArray:
         """Return how far the loop is open, (6,): rotation vector and distance."""

@@ -134,7 +134,7 @@ def settle(table: Any) -> bool:
 
 
 @kernel
-def place(table: Any, x: Pointer, u: Pointer, force: Pointer) -> bool:
+def write_point(table: Any, x: Pointer, u: Pointer, force: Pointer) -> bool:
     """Write state, inputs and site forces to MuJoCo's memory; tell whether all are finite, which MuJoCo needs."""
     forces = numbers(table[FORCES])
     for k in range(table[FORCES_COUNT]):
@@ -164,7 +164,7 @@ def place(table: Any, x: Pointer, u: Pointer, force: Pointer) -> bool:
 def slope(table: Any, x: Pointer, u: Pointer, force: Pointer, out: Pointer) -> None:
     """Write the derivative of every state; NaN where MuJoCo could not be asked."""
     count = table[STATES_COUNT]
-    if not (settle(table) and place(table, x, u, force) and forward(table, 1)):
+    if not (settle(table) and write_point(table, x, u, force) and forward(table, 1)):
         for k in range(count):
             out[k] = math.nan
         return
@@ -187,7 +187,7 @@ def slope(table: Any, x: Pointer, u: Pointer, force: Pointer, out: Pointer) -> N
 def reading(table: Any, x: Pointer, u: Pointer, force: Pointer, out: Pointer) -> None:
     """Write every output; NaN where MuJoCo could not be asked."""
     count = table[OUTPUTS_COUNT]
-    asked = settle(table) and place(table, x, u, force)
+    asked = settle(table) and write_point(table, x, u, force)
     if asked and table[OUTPUTS_NEED_FORWARD] != 0:
         asked = forward(table, 0)
     if not asked:

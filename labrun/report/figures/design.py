@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from labrun.design import Drawing
-from labrun.report.style import COLOURS, INK, SOFT, beside, new_figure
+from labrun.report.style import COLOURS, INK, SOFT, annotate_point, new_figure
 from labrun.report.text import quantity_text
 
 _MM_PER_IN = 25.4
@@ -55,7 +55,7 @@ def draw_design(drawing: Drawing, units: Mapping[str, str], title: str) -> Figur
             if plain == part.name:
                 edge = max(x for x, _ in corners), sum(ends[1]) / 2
                 size = f"{plain} {part.length_mm:.1f} x {part.width_mm:.1f} mm"
-                beside(axes, size, edge, (5, 0), fontsize=7.5, va="center", color=INK)
+                annotate_point(axes, size, edge, (5, 0), fontsize=7.5, va="center", color=INK)
         across = 1 - _TABLE_MM / width_mm
         figure.text(
             0.02,

@@ -18,7 +18,7 @@ from labrun.report.gap_words import (
     place_words,
     times_noise,
 )
-from labrun.report.style import COLOURS, INK, beside, heading, new_figure, plain_numbers
+from labrun.report.style import COLOURS, INK, annotate_point, heading, new_figure, plain_numbers
 from labrun.report.text import p_words, percent
 
 _HOW_FAR_IN = 2.2
@@ -107,7 +107,7 @@ def _draw(axes: Axes, panel: PlacesPanel, slots: int) -> None:
     rows = range(len(labels))
     axes.barh(rows, shares, height=0.72, color=colours)
     for row, (share, note) in enumerate(zip(shares, notes, strict=True)):
-        beside(axes, note, (max(share, 0.0), row), va="center", fontsize=8)
+        annotate_point(axes, note, (max(share, 0.0), row), va="center", fontsize=8)
     axes.set_yticks(rows, labels, fontsize=7.8, linespacing=1.0)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(slots - 0.4, -0.6)  # bars of one row of panels are equally thick
@@ -173,7 +173,7 @@ def draw_how_far(axes: Axes, diagnosis: Diagnosis) -> None:
     axes.axvline(floor, color=_FLOOR_EDGE, linewidth=1.2, linestyle=(0, (4, 2)), zorder=3)
     for row, ((_, size, colour), width) in enumerate(zip(rows, sizes, strict=True)):
         axes.barh(row, max(width - low, 0.0), left=low, height=0.62, color=colour, zorder=2)
-        beside(
+        annotate_point(
             axes,
             times_noise(size),
             (_clear_of(axes, max(width, low), floor), row),

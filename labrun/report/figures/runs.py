@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from labrun.arrays import FloatArray
 from labrun.report.conditions import in_order
 from labrun.report.data import Point, RunView
-from labrun.report.style import COLOURS, FAINT, SOFT, beside, heading, new_figure, zero_line
+from labrun.report.style import COLOURS, FAINT, SOFT, annotate_point, heading, new_figure, zero_line
 from labrun.report.text import label, value_text, with_unit
 from labrun.search import NUMBER
 from labrun.spec import Condition, condition_key, condition_text, varying
@@ -294,7 +294,7 @@ def draw_cycle(axes: Axes, cycles: FloatArray) -> None:
     axes.axhline(level, color=COLOURS[1], linewidth=1.1, linestyle=(0, (4, 2)))
     paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
     look: Any = {"ha": "right", "va": "bottom", "fontsize": 8, "color": COLOURS[1], "bbox": paper}
-    beside(axes, f"mean {level:.3g}", (1.0, level), (-2, 3), **look)
+    annotate_point(axes, f"mean {level:.3g}", (1.0, level), (-2, 3), **look)
     axes.set_xlim(0, 1)
     axes.set_xlabel("phase of the gait cycle")
     axes.tick_params(labelleft=True)

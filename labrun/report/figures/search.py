@@ -17,7 +17,7 @@ from labrun.report.style import (
     FAINT,
     INK,
     SOFT,
-    beside,
+    annotate_point,
     heading,
     legend_above,
     new_figure,
@@ -160,7 +160,7 @@ def _end_labels(axes: Axes, ends: Sequence[tuple[float, str, str]], last: int) -
     excess = max(0.0, places[-1] - 1.0)
     for position, (_, name, colour) in zip(places, sorted(ends), strict=True):
         at = (last, position - excess)
-        beside(axes, name, at, va="center", fontsize=7.5, color=colour, annotation_clip=False)
+        annotate_point(axes, name, at, va="center", fontsize=7.5, color=colour, annotation_clip=False)
 
 
 def _feasible(axes: Axes, generations: Sequence[Generation], number: Sequence[int]) -> None:

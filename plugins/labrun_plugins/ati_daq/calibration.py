@@ -38,18 +38,18 @@ class Calibration:
         From volts to N and N m, a row an axis: force x, y, z, torque x, y, z.
     maximum : (6,)
         End of the range of each axis, N and N m.
-    told
+    attributes
         What else the file says: serial number, date, temperature compensation ...
     """
 
     matrix: FloatArray
     maximum: FloatArray
-    told: dict[str, str] = field(default_factory=dict)
+    attributes: dict[str, str] = field(default_factory=dict)
 
     @property
     def serial(self) -> str:
         """The sensor's serial number; empty if the file does not name it."""
-        return self.told.get("Serial", "")
+        return self.attributes.get("Serial", "")
 
     def load(self, voltages: FloatArray, bias_v: FloatArray) -> FloatArray:
         """Return forces (N) and torques (N m), shape (n, 6), of voltages, shape (n, 6)."""
@@ -82,7 +82,7 @@ def parse(data: bytes) -> Calibration:
     calibrations = strict_xml.find_all(root, "Calibration")
     if len(calibrations) != 1:
         raise CalibrationError(f"it holds {len(calibrations)} calibrations, one is expected")
-    attributes = _told(root, calibrations[0])
+    attributes = _attributes(root, calibrations[0])
     gauges = attributes.get("NumGages", str(GAUGES))
     if gauges.strip() != str(GAUGES):
         raise CalibrationError(f"NumGages = {gauges!r}: only sensors with {GAUGES} gauges are supported")
@@ -107,7 +107,7 @@ def _attribute(element: Element, name: str) -> str | None:
     return values[0] if values else None
 
 
-def _told(root: Element, calibration: Element) -> dict[str, str]:
+def _attributes(root: Element, calibration: Element) -> dict[str, str]:
     attributes = {}
     for name in _TOLD:
         for element in (root, calibration):

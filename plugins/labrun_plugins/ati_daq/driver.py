@@ -50,7 +50,7 @@ class Reception:
         self._settings = settings
         self._reader = reader
         self._calibration = calibration
-        self._told_hz = rate_hz
+        self._nominal_hz = rate_hz
         self._buffer = buffer
         self._bias_v = np.array(settings.bias_v)
         self._silence_s = max(1e-3 * settings.silence_ms, _LEAST_PERIODS / rate_hz)
@@ -97,11 +97,11 @@ class Reception:
         self.saturated += saturated
         number = block.first + np.arange(count)
         # The card samples by its own clock and hands over blocks: only the last sample of a block came just now.
-        host_s = np.maximum(now_s - (number[-1] - number) / self._told_hz, self._latest_s)
+        host_s = np.maximum(now_s - (number[-1] - number) / self._nominal_hz, self._latest_s)
         self._latest_s = float(host_s[-1])
         if self._first is None:
             self._first = (now_s, self._next)
-        self._buffer.put(number / self._told_hz, host_s, loads, lost=lost, saturated=saturated)
+        self._buffer.put(number / self._nominal_hz, host_s, loads, lost=lost, saturated=saturated)
 
     def rate_hz(self) -> float:
         """Return the samples per second made so far, as the host's clock has it; 0 at the beginning."""
@@ -124,7 +124,7 @@ class Reception:
         if quiet_s > self._silence_s:
             raise DeviceError(
                 self._device,
-                f"no voltages for {1e3 * quiet_s:.0f} ms ({self._told_hz:g} samples/s expected)",
+                f"no voltages for {1e3 * quiet_s:.0f} ms ({self._nominal_hz:g} samples/s expected)",
                 hint="check the card's cable, and that no other program uses it; then labrun resume",
             )
 
@@ -160,7 +160,7 @@ def _stream(reception: Reception, settings: AtiDaqSettings, rate_hz: float) -> I
 
 
 def _calibration(calibration: Calibration, settings: AtiDaqSettings) -> Iterator[Remark]:
-    attributes = calibration.told
+    attributes = calibration.attributes
     text = ", ".join(
         f"{key} {attributes[key]}"
         for key in ("Serial", "PartNumber", "CalDate", "HWTempComp")
@@ -227,13 +227,13 @@ class AtiDaq(ListeningSensor):
     def identify(self) -> Identity:
         """Return sensor, card and calibration; the matrix is in full, so that voltages can be had back."""
         read, card = self.calibration, self._card or Card("")
-        style = read.told.get("BodyStyle") or read.told.get("Family") or "force/torque sensor"
+        style = read.attributes.get("BodyStyle") or read.attributes.get("Family") or "force/torque sensor"
         return Identity(
             model=f"ATI {style}",
             serial=read.serial,
             firmware=card.firmware,
             details={
-                **read.told,
+                **read.attributes,
                 "card": card.model,
                 "card_serial": card.serial,
                 "input": self.settings.input,

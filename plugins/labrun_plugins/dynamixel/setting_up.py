@@ -58,13 +58,13 @@ _REMEMBERED = (
 
 @dataclass
 class Servo:
-    """One servo as it was found and as it is now.
+    """One servo as it was before and as it is now.
 
     Attributes
     ----------
     joint, id, model, firmware
         Who it is.
-    found
+    initial
         Register name -> value before labrun touched it.
     now
         Register name -> value read back.
@@ -76,7 +76,7 @@ class Servo:
     id: int
     model: Model
     firmware: int
-    found: dict[str, int] = field(default_factory=dict)
+    initial: dict[str, int] = field(default_factory=dict)
     now: dict[str, int] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -116,18 +116,18 @@ def set_up(bus: Bus, servo: Servo, scale: Scale, settings: DynamixelSettings, cl
     """
     _listen_to(bus, servo)
     _clear_errors(bus, servo, clock)
-    servo.found = {register.name: bus.read(servo.id, register) for register in _REMEMBERED}
+    servo.initial = {register.name: bus.read(servo.id, register) for register in _REMEMBERED}
     wanted = {RETURN_DELAY: settings.return_delay_us // 2, OPERATING_MODE: MODES[settings.operating_mode]}
     if settings.operating_mode == "position":
         wanted |= {MIN_POSITION: scale.bounds[0], MAX_POSITION: scale.bounds[1]}
-    changes = {register: value for register, value in wanted.items() if servo.found[register.name] != value}
+    changes = {register: value for register, value in wanted.items() if servo.initial[register.name] != value}
     if changes and bus.read(servo.id, TORQUE_ENABLE):
         bus.write(servo.id, TORQUE_ENABLE, 0)  # EEPROM is locked while the torque is on
         servo.notes.append("torque switched off to change its set-up")
     # The mode first: it may reset others. Limits that would cross on the way are told apart by their order.
     for register in sorted(changes, key=lambda change: change is not OPERATING_MODE):
         bus.write(servo.id, register, changes[register])
-        servo.notes.append(f"{register.name} {servo.found[register.name]} -> {changes[register]}")
+        servo.notes.append(f"{register.name} {servo.initial[register.name]} -> {changes[register]}")
     temporary = {PROFILE_ACCELERATION: 0, PROFILE_VELOCITY: 0}
     if settings.position_gains is not None:
         temporary |= dict(zip((POSITION_P, POSITION_I, POSITION_D), settings.position_gains, strict=True))
@@ -135,7 +135,7 @@ def set_up(bus: Bus, servo: Servo, scale: Scale, settings: DynamixelSettings, cl
         bus.write(servo.id, register, value)
     for register, value in {**wanted, **temporary}.items():
         _read_back(bus, servo, register, value)
-    servo.now = {**servo.found, **servo.now}
+    servo.now = {**servo.initial, **servo.now}
 
 
 def _listen_to(bus: Bus, servo: Servo) -> None:
@@ -333,7 +333,7 @@ def remarks(bus: Bus, servos: Sequence[Servo], settings: DynamixelSettings, cloc
 def _of_servo(bus: Bus, servo: Servo) -> Iterator[Remark]:
     who = f"{servo.joint} (id {servo.id})"
     yield Remark("ok", who, f"{servo.model.name}, firmware {servo.firmware}")
-    delay_us = 2 * servo.found[RETURN_DELAY.name]
+    delay_us = 2 * servo.initial[RETURN_DELAY.name]
     now_us = 2 * servo.now[RETURN_DELAY.name]
     if delay_us != now_us:
         yield Remark("ok", who, f"return delay was {delay_us} us; labrun has set it to {now_us} us")

@@ -53,7 +53,7 @@ class TendonSliderEmulator(ServoBoardEmulator):
 
     def _slide(self, now_s: float) -> None:
         position_m, scene = self._place(), self.context.scene
-        self.note("slider", place=position_m)
+        self.note("slider", position=position_m)
         if scene is not None and SLIDER in scene.joints:
             motion = Trajectory((SLIDER,), np.zeros(1), np.array([[position_m]]))
             self.bench.do(lambda: scene.drive(SLIDER, motion, now_s))

@@ -280,7 +280,7 @@ class EmulatedArm:
         self._slider = 1.0
         self.runtime = STOPPED
 
-    def place(self, position_m: float) -> None:
+    def set_position(self, position_m: float) -> None:
         """Put the tool at a position of the carriage."""
         self.pose = self._origin.copy()
         self.pose[:3] += position_m * self._along

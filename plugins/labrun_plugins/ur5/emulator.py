@@ -325,7 +325,7 @@ class Ur5Emulator:
             if "position" not in scene.signals:
                 shown = ", ".join(sorted(scene.signals))
                 raise DeviceError(self._name, "this bench has no position", hint=f"it shows {shown}")
-            self._arm.place(float(scene.observe(("position",), np.array([now_s]))[0, 0]))
+            self._arm.set_position(float(scene.observe(("position",), np.array([now_s]))[0, 0]))
         asked = self._settings.host
         fixed = asked.startswith("127.") and asked != "127.0.0.1"
         host = asked if fixed else "127.0.0.1"

@@ -64,7 +64,7 @@ def test_a_hidden_site_is_a_place_of_the_model(made: tuple[Path, Done]) -> None:
     for path in sorted((folder / "sealed").glob("case-*.json")):
         model = parse_model((folder / "cases" / path.stem / "model.toml").read_text(), "model.toml")
         for hidden in json.loads(path.read_text())["hidden"]:
-            model.place(hidden["site"], hidden["site_kind"])
+            model.site_named(hidden["site"], hidden["site_kind"])
 
 
 @pytest.mark.parametrize("kind", PLANTS, ids=lambda kind: kind.__name__)

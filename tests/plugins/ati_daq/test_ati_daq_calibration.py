@@ -49,7 +49,7 @@ def test_axes_may_stand_in_any_order():
 
 
 def test_what_the_file_tells_of_the_sensor_is_kept():
-    message = calibration.parse(cal_text().encode()).told
+    message = calibration.parse(cal_text().encode()).attributes
     assert message["Serial"] == "FT98765"
     assert message["HWTempComp"] == "True"
     assert message["OutputRange"] == "20"

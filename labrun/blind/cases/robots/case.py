@@ -60,12 +60,12 @@ def run(
     model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1:3] = 0.0, 0.0
     kp = np.array([link.kp for link in body.links])
     kv = np.array([link.kv for link in body.links])
-    for name, joint in drives.items():
+    for index, joint in drives.items():
         if joint.two_masses:
-            model.dof_armature[name] = 1e-3 * joint.armature
+            model.dof_armature[index] = 1e-3 * joint.armature
     data = mujoco.MjData(model)
-    weighed = any("gravity-compensation" in joint.sizes for joint in drives.values())
-    moved = (
+    compensates_gravity = any("gravity-compensation" in joint.sizes for joint in drives.values())
+    feedforward = (
         _asked(model, goal)
         if any("dynamics-feedforward" in joint.sizes for joint in drives.values())
         else None
@@ -73,15 +73,15 @@ def run(
 
     def accelerations(time_s: float, goal: FloatArray, q: FloatArray, rate: FloatArray) -> FloatArray:
         torque, planned = kp * (goal - q) - kv * rate, np.zeros(len(kp))
-        if moved is not None:
-            planned = moved[min(int(time_s / SAMPLE_S), len(moved) - 1)]
-        if weighed:
+        if feedforward is not None:
+            planned = feedforward[min(int(time_s / SAMPLE_S), len(feedforward) - 1)]
+        if compensates_gravity:
             data.qpos[:], data.qvel[:] = q, 0.0
             mujoco.mj_forward(model, data)
             weight = data.qfrc_bias.copy()
-        for name, joint in drives.items():
-            known = weight[name] if "gravity-compensation" in joint.sizes else planned[name]
-            torque[name] = joint.torque(time_s, goal[name], q[name], rate[name], known)
+        for index, joint in drives.items():
+            known = weight[index] if "gravity-compensation" in joint.sizes else planned[index]
+            torque[index] = joint.torque(time_s, goal[index], q[index], rate[index], known)
         data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q, rate, torque
         mujoco.mj_forward(model, data)
         measured: FloatArray = data.qacc.copy()

@@ -124,12 +124,13 @@ class MlpStudy(WithSettings[StudySettings]):
         grid = list(product(modes, settings.layers, settings.activations, settings.solvers))
         for mode in modes:
             sets = [
-                mode_set.beside(settings.inverse if mode == "error" else "") for mode_set in (first, second)
+                mode_set.residual_to(settings.inverse if mode == "error" else "")
+                for mode_set in (first, second)
             ]
             affine[mode] = _error(exact_affine(*sets[1].training), sets[1])
             for _, layers, activation, solver in (pair for pair in grid if pair[0] == mode):
                 key = (mode, layers, activation, solver)
-                row = kept.found.get(key)
+                row = kept.rows.get(key)
                 if row is None:
                     job.note(
                         f"{len(rows) + 1} of {len(grid)}: {mode}, {layers} {settings.counted}, {activation}, {solver}"
@@ -176,7 +177,7 @@ class _Kept:
     def __init__(self, target: Path, settings: Mapping[str, object]) -> None:
         self._file = None if is_recording(target) or not target.is_dir() else target / "fit" / _KEPT
         self._head = json.dumps(settings, sort_keys=True)
-        self.found: dict[tuple[str, int, str, str], Row] = {
+        self.rows: dict[tuple[str, int, str, str], Row] = {
             (row.mode, row.layers, row.activation, row.solver): row for row in self._read()
         }
 
