@@ -41,14 +41,14 @@ def test_it_goes_into_the_state_that_a_condition_names_and_its_switches_verify_i
         bench.driver.arrange({"beam": state, "f": 0.3})
         assert not bench.driver.arrived()
         bench.wait_until(bench.driver.arrived)
-        assert bench.events("slider")[-1]["place"] == pytest.approx(position_m, abs=1e-3)
+        assert bench.events("slider")[-1]["position"] == pytest.approx(position_m, abs=1e-3)
         assert bench.driver.health().ok
 
 
 def test_without_the_condition_it_takes_the_state_of_the_file(bench):
     bench.driver.arrange({"f": 0.3})
     bench.wait_until(bench.driver.arrived)
-    assert bench.events("slider")[-1]["place"] == pytest.approx(0.0, abs=1e-3)
+    assert bench.events("slider")[-1]["position"] == pytest.approx(0.0, abs=1e-3)
 
 
 def test_a_slider_that_does_not_arrive_is_stopped_and_said_and_goes_on_once_it_is_free(bench):
