@@ -11,8 +11,9 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit import SIMULATED, Dataset, Deviation, DeviationKind, Problem
-from labrun.gap import criteria
+from labrun.gap import criteria, decide
 from labrun.gap.candidates import typical_time_s
+from labrun.gap.evidence import correlation_samples
 from labrun.gap.noise import fit_whitener
 
 _BEGINNING = 0.05
@@ -24,8 +25,6 @@ _DEVIATION_FREEDOM = 30
 _MOST_DEVIATIONS = 3
 _DEVIATION_DRAWS = 200
 """Deviations by trial that are taken apart at most, and draws of noise that each is compared with."""
-_DEVIATION_BLOCKS = 4
-"""Blocks of a trial that was never repeated, in all of which its deviation has to be the same."""
 _SIMPLER_SHARE = 0.02
 """A candidate with fewer variables is preferred if it removes no less than this part of the excess less."""
 _FEWEST_AGREEING = 3
@@ -304,46 +303,64 @@ def _looked_at_alone(
     beginnings: Sequence[int],
 ) -> _Alone | None:
     """Return what one kind makes up of the residual; None if that is little, or not to be told."""
-    trials, blocks = len(residual), _DEVIATION_BLOCKS
-    if trials < 2 or min(map(len, residual)) < blocks:
+    if len(residual) < 2:
         return None
     every = output is None or kind in SIMULATED
     columns = slice(None) if every else slice(output, (output or 0) + 1)
     scale = np.sqrt(np.mean(np.square(np.concatenate(residual)), axis=0))
     scale = np.where(scale > 0, scale, 1.0)
-    shapes = [(trial_residual / scale)[:, columns] for trial_residual in signature]
+    shapes = [(shape / scale)[:, columns] for shape in signature]
     away = [(trial_residual / scale)[:, columns] for trial_residual in residual]
-    cut = [
-        [
-            (np.sum(np.square(a)), np.sum(a * b))
-            for a, b in zip(*_cut(shape, trial_residual, blocks), strict=True)
-        ]
-        for shape, trial_residual in zip(shapes, away, strict=True)
-    ]
-    energy, along = np.array(cut)[:, :, 0], np.array(cut)[:, :, 1]
+    energy = np.array([np.sum(np.square(shape)) for shape in shapes])
     total = float(sum(np.sum(np.square(trial_residual)) for trial_residual in away))
     if np.any(energy <= 0) or total == 0.0:
         return None
-    size, whole = along / energy, np.sum(energy, axis=1)
-    own = np.sum(along, axis=1) / whole
-    from scipy.stats import f
-
+    own = np.array([np.sum(a * b) for a, b in zip(shapes, away, strict=True)]) / energy
     shared = _shared(own)
-    taken = float(np.sum(np.square(own - shared) * whole))
-    if taken < criteria.DEVIATION_SHARE * total:
+    taken = float(np.sum(np.square(own - shared) * energy))
+    if taken < criteria.SHARE_OF_GAP * total:
         return None
     if kind == "initial state" and not _seen_at_the_beginning(shapes, away, own - shared, beginnings):
         return None
-    freedom = trials - int(shared != 0.0), trials * (blocks - 1)
-    within = float(np.sum(np.square(size - own[:, None]) * energy)) / freedom[1]
-    chance = float(f.sf(taken / freedom[0] / max(within, 1e-300), *freedom))
     after = []
-    for trial_residual, shape, each in zip(residual, shapes, own - shared, strict=True):
+    for trial_residual, shape, size in zip(residual, shapes, own - shared, strict=True):
         cleared = trial_residual.copy()
-        cleared[:, columns] -= each * shape * scale[columns]
+        cleared[:, columns] -= size * shape * scale[columns]
         after.append(cleared)
-    sd = float(np.sqrt(np.sum(np.square(own - shared)) / freedom[0]))
-    return _Alone(taken / total, Deviation(kind, output, sd), after, chance <= criteria.DEVIATION_P)
+    sd = float(np.sqrt(np.sum(np.square(own - shared)) / (len(own) - int(shared != 0.0))))
+    steady = _predicts_unseen_blocks(away, shapes, own, shared)
+    return _Alone(taken / total, Deviation(kind, output, sd), after, steady)
+
+
+def _predicts_unseen_blocks(
+    residual: Sequence[FloatArray], shapes: Sequence[FloatArray], own: FloatArray, shared: float
+) -> bool:
+    """Tell by the rule whether a size of each trial's own predicts a block of the trial that it was not fitted to.
+
+    Parameters
+    ----------
+    residual, shapes : per trial (n, k)
+    own, shared
+        Sizes of the whole trials, and what they have in common, which is compared with.
+    """
+    wanted = max(int(np.ceil(criteria.ENOUGH_UNITS / len(residual))), 2)
+    before, after, strata = list[float](), list[float](), list[int]()
+    for trial, (rows, shape, size) in enumerate(zip(residual, shapes, own, strict=True)):
+        blocks = min(wanted, int(len(rows) / correlation_samples(rows - size * shape)))
+        if blocks < 2:
+            continue
+        pairs = list(zip(np.array_split(rows, blocks), np.array_split(shape, blocks), strict=True))
+        energy = np.array([np.sum(np.square(part)) for _, part in pairs])
+        along = np.array([np.sum(block * part) for block, part in pairs])
+        for index, (block, part) in enumerate(pairs):
+            others = float(np.sum(energy) - energy[index])
+            elsewhere = float(np.sum(along) - along[index]) / others if others > 0 else shared
+            usual = np.mean(np.square(block - shared * part))
+            left = np.mean(np.square(block - elsewhere * part)) + criteria.EXPLAINED_REST**2 * usual
+            before.append(float(np.log(max(usual, np.finfo(float).tiny))))
+            after.append(float(np.log(max(left, np.finfo(float).tiny))))
+            strata.append(trial)
+    return len(before) > 1 and decide.beats(np.array(after), np.array(before), np.array(strata))
 
 
 def _seen_at_the_beginning(
@@ -361,10 +378,6 @@ def _seen_at_the_beginning(
             before += float(np.sum(np.square(trial_residual[:count, column])))
             after += float(np.sum(np.square((trial_residual - size * shape)[:count, column])))
     return after < before or before == 0.0
-
-
-def _cut(first: FloatArray, second: FloatArray, blocks: int) -> tuple[list[FloatArray], list[FloatArray]]:
-    return np.array_split(first, blocks), np.array_split(second, blocks)
 
 
 def remaining(problem: Problem, z: FloatArray) -> tuple[tuple[Deviation, float], ...]:
