@@ -68,8 +68,6 @@ ENOUGH_FREEDOM = 8
 """Independent whole-trial deviations from which noise is redrawn; with fewer it is drawn from its spectrum."""
 OWN_FLOOR_REPEATS = 3
 """Repeats from which a condition has a noise floor of its own."""
-DEVIATION_SHARE = 0.3
-"""Part of the disagreement of repeats that a trial-wise bias, gain or start time has to make up."""
 DEVIATION_P = 0.001
 """p-value below which a trial-wise deviation scatters more than noise would have it."""
 FEWEST_STEPS = 20

@@ -37,7 +37,13 @@ from labrun.gap.recalibration import (
 )
 from labrun.gap.screening import Base
 from labrun.gap.selection import Selection, Selector
-from labrun.gap.trial_wise import ALSO_SHAPES, beginning_s, found_alone, set_anew, simulated_changes
+from labrun.gap.trial_wise import (
+    ALSO_SHAPES,
+    beginning_s,
+    deviations_without_repeats,
+    outputs_without_common_zero,
+    simulated_changes,
+)
 from labrun.models import Model
 
 _DEVIATION_NEARLY_ALL = 0.8
@@ -196,7 +202,7 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, search: Search) -
         return search
     final = search.selection.final
     for problem, z in ((final.problem, final.z), (first.problem, first.z)):
-        likely = found_alone(
+        likely = deviations_without_repeats(
             asked.data,
             mean_residuals(problem, z),
             problem.simulated(z),
@@ -209,7 +215,8 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, search: Search) -
         asked.note("taking apart what differs from trial to trial, and looking for causes beside it")
         extended, start = with_deviations(first.problem, first.z, deviations)
         zeros = [
-            asked.data.outputs[output].name for output in set_anew(mean_residuals(problem, z), deviations)
+            asked.data.outputs[output].name
+            for output in outputs_without_common_zero(mean_residuals(problem, z), deviations)
         ]
         again = _searched(asked, in_noise(extended, first.noise, start), zeros, search.selection.judged)
         if again.selection.chosen or not search.selection.chosen:

@@ -32,7 +32,7 @@ from labrun.gap.noise import (
     of_sensor,
 )
 from labrun.gap.screening import refit
-from labrun.gap.trial_wise import begun_elsewhere, found_in_repeats
+from labrun.gap.trial_wise import deviating_initial_states, deviations_of_repeats
 from labrun.models import Model
 
 _PROBED_UNITS = 3
@@ -89,23 +89,23 @@ def recalibrate(
     if refined.substeps > problem.substeps:
         z = refit(refined, z)
     problem = refined
-    drawn = found_in_repeats(units, member_residuals(problem, z), problem.simulated(z))
+    drawn = deviations_of_repeats(units, member_residuals(problem, z), problem.simulated(z))
     noise = (
         from_repeats(units, drawn.residual)
         or from_reading_errors(units)
         or of_sensor(units, mean_residuals(problem, z))
     )
-    deviations = drawn.deviations if noise.known else begun_elsewhere(problem, z, noise.sd)
+    deviations = drawn.deviations if noise.known else deviating_initial_states(problem, z, noise.sd)
     if deviations:
         note("asking what differs from trial to trial")
     if noise.known and deviations:
         problem, z = with_deviations(problem, z, deviations)
     for deviation in () if noise.known else deviations:
-        problem, z = _begun_elsewhere_beyond_slow_noise(problem, z, noise, deviation)
+        problem, z = _with_deviating_initial_state(problem, z, noise, deviation)
     return in_noise(problem, noise, z)
 
 
-def _begun_elsewhere_beyond_slow_noise(
+def _with_deviating_initial_state(
     problem: Problem, z: FloatArray, noise: Noise, beginning: Deviation
 ) -> tuple[Problem, FloatArray]:
     """Return a problem whose trials begin elsewhere, fitted; as it was if noise of the colour of the rest does as much.

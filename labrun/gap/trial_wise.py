@@ -14,21 +14,19 @@ from labrun.fit import SIMULATED, Dataset, Deviation, DeviationKind, Problem
 from labrun.gap import criteria, decide
 from labrun.gap.candidates import typical_time_s
 from labrun.gap.evidence import correlation_samples
-from labrun.gap.noise import fit_whitener
 
 _BEGINNING = 0.05
+"""Part of a typical period that counts as a trial's beginning."""
 _BEGINNING_SAMPLES = 3
+"""Samples that a trial's beginning has at least."""
 _NO_DEVIATION = 0.3
-"""Part of a typical period that counts as a trial's beginning, at least so many samples."""
-_DEVIATION_FREEDOM = 30
-"""Degrees of freedom with which the variance that noise alone gives a deviation is known."""
+"""Root mean square, in units of its spread, below which a deviation has lost its place to a cause."""
 _MOST_DEVIATIONS = 3
-_DEVIATION_DRAWS = 200
-"""Deviations by trial that are taken apart at most, and draws of noise that each is compared with."""
+"""Deviations by trial that are taken apart at most."""
 _SIMPLER_SHARE = 0.02
-"""A candidate with fewer variables is preferred if it removes no less than this part of the excess less."""
+"""Share of the residual by which an input's deviation has to be larger than an output's to go first."""
 _FEWEST_AGREEING = 3
-"""Conditions from which candidates are compared by how far conditions agree."""
+"""Trials from which chance can be told from what they have in common."""
 
 _KINDS: tuple[DeviationKind, ...] = ("bias", "start time", "gain")
 ALSO_SHAPES: tuple[DeviationKind, ...] = ("gain", "start time", "input gain")
@@ -38,7 +36,7 @@ _NUDGE = 1e-3
 
 
 @dataclass(frozen=True)
-class Found:
+class TrialDeviations:
     """Deviations by trial, and residuals without them.
 
     Attributes
@@ -50,13 +48,13 @@ class Found:
     residual: list[list[FloatArray]]
 
 
-def found_in_repeats(
+def deviations_of_repeats(
     units: Dataset, residual: Sequence[Sequence[FloatArray]], simulated: Sequence[FloatArray]
-) -> Found:
+) -> TrialDeviations:
     """Look for what repeats of a condition differ in as whole trials, the largest first.
 
-    One counts if it makes up a good part of what repeats do not agree on, and scatters by more than what is left of
-    them, with its colour, would have it do (F test).
+    One counts if, estimated from other blocks of time of a trial, it predicts by the rule how far a block of it lies
+    from the mean of its condition.
 
     Parameters
     ----------
@@ -70,7 +68,7 @@ def found_in_repeats(
     while len(deviations) < _MOST_DEVIATIONS:
         known = [(deviation.kind, deviation.output) for deviation in deviations]
         rest = [(kind, output) for kind, output in tried if (kind, output) not in known]
-        results = [_looked_at(units, left, simulated, kind, output) for kind, output in rest]
+        results = [_rated_in_repeats(units, left, simulated, kind, output) for kind, output in rest]
         best = max(
             (result for result in results if result is not None), key=lambda result: result[0], default=None
         )
@@ -78,24 +76,25 @@ def found_in_repeats(
             break
         _, deviation, left = best
         deviations.append(deviation)
-    return Found(tuple(deviations), left)
+    return TrialDeviations(tuple(deviations), left)
 
 
-_Looked = tuple[float, Deviation, list[list[FloatArray]]]
+_RatedInRepeats = tuple[float, Deviation, list[list[FloatArray]]]
 
 
-def _looked_at(
+def _rated_in_repeats(
     units: Dataset,
     residual: list[list[FloatArray]],
     simulated: Sequence[FloatArray],
     kind: DeviationKind,
     output: int | None,
-) -> _Looked | None:
+) -> _RatedInRepeats | None:
     """Return the share of the disagreement that one kind makes up, its deviation, and residuals without it."""
     after = [list(members) for members in residual]
-    sizes, freedom, taken, total = list[float](), 0, 0.0, 0.0
-    scale = _disagreement(units, residual)
+    away, shapes = list[FloatArray](), list[FloatArray]()
+    freedom, scale = 0, _disagreement(units, residual)
     columns = slice(None) if output is None else slice(output, output + 1)
+    sizes = list[float]()
     for group in range(len(units.conditions)):
         members = [
             (index, member) for index in units.of_group(group) for member in range(len(residual[index]))
@@ -104,27 +103,23 @@ def _looked_at(
             continue
         length = min(len(residual[index][member]) for index, member in members)
         mean = np.mean([residual[index][member][:length] for index, member in members], axis=0)
-        own = []
         for index, member in members:
             signature = (shape_of(kind, simulated[index], units.trials[index].time_s) / scale)[:, columns]
-            away = ((residual[index][member][:length] - mean) / scale)[:, columns]
-            energy = float(np.sum(np.square(signature[:length])))
-            own.append(float(np.sum(signature[:length] * away)) / energy if energy > 0 else 0.0)
-            total += float(np.sum(np.square(away)))
-            taken += own[-1] ** 2 * energy
+            shapes.append(signature[:length])
+            away.append(((residual[index][member][:length] - mean) / scale)[:, columns])
+            energy = float(np.sum(np.square(shapes[-1])))
+            sizes.append(float(np.sum(shapes[-1] * away[-1])) / energy if energy > 0 else 0.0)
             after[index][member] = residual[index][member].copy()
-            after[index][member][:, columns] -= own[-1] * signature * scale[columns]
-        sizes += own
-        freedom += len(own) - 1
-    if freedom == 0 or total == 0.0 or taken < criteria.DEVIATION_SHARE * total:
+            after[index][member][:, columns] -= sizes[-1] * signature * scale[columns]
+        freedom += len(members) - 1
+    total = sum(float(np.sum(np.square(rows))) for rows in away)
+    taken = sum(size**2 * float(np.sum(np.square(shape))) for size, shape in zip(sizes, shapes, strict=True))
+    if total == 0.0 or taken < criteria.SHARE_OF_GAP * total:
         return None
-    variance = float(np.sum(np.square(sizes))) / freedom
-    expected = _by_noise(units, after, simulated, kind, columns, scale)
-    from scipy.stats import f
-
-    if f.sf(variance / max(expected, 1e-300), freedom, _DEVIATION_FREEDOM) > criteria.DEVIATION_P:
+    if not _predicts_unseen_blocks(away, shapes, np.array(sizes), 0.0):
         return None
-    return taken / total, Deviation(kind, output, float(np.sqrt(variance))), after
+    sd = float(np.sqrt(np.sum(np.square(sizes)) / freedom))
+    return taken / total, Deviation(kind, output, sd), after
 
 
 def simulated_changes(problem: Problem, z: FloatArray) -> dict[tuple[DeviationKind, int], list[FloatArray]]:
@@ -166,7 +161,7 @@ def _samples_within(short_s: float, time_s: FloatArray) -> int:
     return max(int(np.searchsorted(time_s, time_s[0] + short_s)), _BEGINNING_SAMPLES)
 
 
-def begun_elsewhere(problem: Problem, z: FloatArray, noise_sd: FloatArray) -> tuple[Deviation, ...]:
+def deviating_initial_states(problem: Problem, z: FloatArray, noise_sd: FloatArray) -> tuple[Deviation, ...]:
     """Look for stated initial states that the first samples of trials which were never repeated contradict.
 
     A plate that is released by hand does not begin where it should. What all trials plainly share is a zero error.
@@ -188,13 +183,13 @@ def begun_elsewhere(problem: Problem, z: FloatArray, noise_sd: FloatArray) -> tu
             begins = (trial.outputs - outputs)[:count, output]
             away.append(float(np.mean(begins)))
             variance += float(noise_sd[output]) ** 2 / len(begins)
-        sd = float(np.sqrt(np.mean(np.square(np.array(away) - _shared(np.array(away))))))
+        sd = float(np.sqrt(np.mean(np.square(np.array(away) - _common_part(np.array(away))))))
         if sd > criteria.SAME_BEGINNING * np.sqrt(variance / len(away)):
             deviations.append(Deviation("initial state", state, sd))
     return tuple(deviations)
 
 
-def set_anew(residual: Sequence[FloatArray], deviations: Sequence[Deviation]) -> list[int]:
+def outputs_without_common_zero(residual: Sequence[FloatArray], deviations: Sequence[Deviation]) -> list[int]:
     """Return the outputs whose zeros differ by trial without a part that all trials plainly share, by column."""
     biases = [
         deviation.output
@@ -204,12 +199,12 @@ def set_anew(residual: Sequence[FloatArray], deviations: Sequence[Deviation]) ->
     return [
         output
         for output in biases
-        if _shared(np.array([float(np.mean(trial_residual[:, output])) for trial_residual in residual]))
+        if _common_part(np.array([float(np.mean(trial_residual[:, output])) for trial_residual in residual]))
         == 0.0
     ]
 
 
-def _shared(own: FloatArray) -> float:
+def _common_part(own: FloatArray) -> float:
     """Return what deviations have in common; 0 where chance would make them agree as well.
 
     Two trials cannot tell chance: what they agree on counts as common.
@@ -221,7 +216,7 @@ def _shared(own: FloatArray) -> float:
     return float(np.mean(own)) if ttest_1samp(own, 0.0).pvalue <= criteria.DEVIATION_P else 0.0
 
 
-def found_alone(
+def deviations_without_repeats(
     units: Dataset,
     residual: Sequence[FloatArray],
     simulated: Sequence[FloatArray],
@@ -230,9 +225,8 @@ def found_alone(
 ) -> list[tuple[Deviation, ...]]:
     """Look for what trials that were never repeated differ by as a whole, where no cause explains what is left of them.
 
-    A deviation is as large in one block of its trial as in another. One counts if it makes up a good part of what is
-    left, and is larger than blocks of a trial differ by (analysis of variance). What all trials plainly share of it is
-    none: it is a gap like any other.
+    A deviation is as large in one block of its trial as in another. One counts if, estimated from other blocks, it
+    predicts a block by the rule better than what all trials plainly share of it, which is a gap like any other.
 
     Parameters
     ----------
@@ -262,46 +256,58 @@ def found_alone(
     for key, change in (changes or {}).items():
         shapes[key] = list(change)
     begin = [_samples_within(short_s, trial.time_s) for trial in units.trials]
-    shared_deviations, alone, left = list[Deviation](), list[Deviation](), list(residual)
-    while len(shared_deviations) < _MOST_DEVIATIONS:
-        rest = [
-            shape
-            for shape in shapes
-            if shape not in [(other.kind, other.output) for other in shared_deviations]
+    accepted, alone, left = list[Deviation](), list[Deviation](), list(residual)
+    while len(accepted) < _MOST_DEVIATIONS:
+        known = [(deviation.kind, deviation.output) for deviation in accepted]
+        rated = [
+            entry
+            for key, shape in shapes.items()
+            if key not in known and (entry := _rated_without_repeats(left, shape, *key, begin)) is not None
         ]
-        looked = [
-            got for shape in rest if (got := _looked_at_alone(left, shapes[shape], *shape, begin)) is not None
-        ]
-        if not shared_deviations:
-            alone = [got.deviation for got in looked if got.steady or got.deviation.kind in ALSO_SHAPES]
-        steady = [got for got in looked if got.steady]
-        if not steady:
+        if not accepted:
+            alone = [
+                entry.deviation
+                for entry in rated
+                if entry.predicts_unseen or entry.deviation.kind in ALSO_SHAPES
+            ]
+        predictive = [entry for entry in rated if entry.predicts_unseen]
+        if not predictive:
             break
-        most = max(got.share for got in steady)
-        best = next(got for got in steady if got.share >= most - _SIMPLER_SHARE)
+        most = max(entry.share for entry in predictive)
+        best = next(entry for entry in predictive if entry.share >= most - _SIMPLER_SHARE)
         left = best.residual
-        shared_deviations.append(best.deviation)
-    sets = [tuple(shared_deviations)] if shared_deviations else []
+        accepted.append(best.deviation)
+    sets = [tuple(accepted)] if accepted else []
     return list(dict.fromkeys([*sets, *((deviation,) for deviation in alone)]))
 
 
 @dataclass(frozen=True)
-class _Alone:
-    """A deviation of trials that were not repeated, what it leaves of them, and whether their blocks agree on it."""
+class _Rated:
+    """A deviation of trials that were not repeated.
+
+    Attributes
+    ----------
+    share
+        Share of the squared residual that it makes up.
+    residual
+        What it leaves.
+    predicts_unseen
+        Whether it predicts blocks of time that it was not estimated from.
+    """
 
     share: float
     deviation: Deviation
     residual: list[FloatArray]
-    steady: bool
+    predicts_unseen: bool
 
 
-def _looked_at_alone(
+def _rated_without_repeats(
     residual: list[FloatArray],
     signature: Sequence[FloatArray],
     kind: DeviationKind,
     output: int | None,
     beginnings: Sequence[int],
-) -> _Alone | None:
+) -> _Rated | None:
     """Return what one kind makes up of the residual; None if that is little, or not to be told."""
     if len(residual) < 2:
         return None
@@ -316,11 +322,11 @@ def _looked_at_alone(
     if np.any(energy <= 0) or total == 0.0:
         return None
     own = np.array([np.sum(a * b) for a, b in zip(shapes, away, strict=True)]) / energy
-    shared = _shared(own)
+    shared = _common_part(own)
     taken = float(np.sum(np.square(own - shared) * energy))
     if taken < criteria.SHARE_OF_GAP * total:
         return None
-    if kind == "initial state" and not _seen_at_the_beginning(shapes, away, own - shared, beginnings):
+    if kind == "initial state" and not _improves_first_samples(shapes, away, own - shared, beginnings):
         return None
     after = []
     for trial_residual, shape, size in zip(residual, shapes, own - shared, strict=True):
@@ -328,8 +334,8 @@ def _looked_at_alone(
         cleared[:, columns] -= size * shape * scale[columns]
         after.append(cleared)
     sd = float(np.sqrt(np.sum(np.square(own - shared)) / (len(own) - int(shared != 0.0))))
-    steady = _predicts_unseen_blocks(away, shapes, own, shared)
-    return _Alone(taken / total, Deviation(kind, output, sd), after, steady)
+    predicts_unseen = _predicts_unseen_blocks(away, shapes, own, shared)
+    return _Rated(taken / total, Deviation(kind, output, sd), after, predicts_unseen)
 
 
 def _predicts_unseen_blocks(
@@ -363,7 +369,7 @@ def _predicts_unseen_blocks(
     return len(before) > 1 and decide.beats(np.array(after), np.array(before), np.array(strata))
 
 
-def _seen_at_the_beginning(
+def _improves_first_samples(
     shapes: Sequence[FloatArray], residual: Sequence[FloatArray], own: FloatArray, beginnings: Sequence[int]
 ) -> bool:
     """Tell whether less is left at the beginning of trials without what they are said to begin with.
@@ -395,7 +401,7 @@ def remaining(problem: Problem, z: FloatArray) -> tuple[tuple[Deviation, float],
     for index, deviation in enumerate(problem.deviations):
         if sizes[index] >= _NO_DEVIATION:
             values = own[:, index] * deviation.sd / repeats
-            kept.append((deviation, _shared(values) if len(values) >= _FEWEST_AGREEING else 0.0))
+            kept.append((deviation, _common_part(values) if len(values) >= _FEWEST_AGREEING else 0.0))
     return tuple(kept)
 
 
@@ -457,34 +463,3 @@ def _disagreement(units: Dataset, residual: Sequence[Sequence[FloatArray]]) -> F
             squares += [np.mean(np.square(trial[:length] - mean), axis=0) for trial in trials]
     size = np.sqrt(np.mean(squares, axis=0)) if squares else np.ones(residual[0][0].shape[1])
     return np.asarray(np.where(size > 0, size, 1.0))
-
-
-def _by_noise(
-    units: Dataset,
-    residual: Sequence[Sequence[FloatArray]],
-    simulated: Sequence[FloatArray],
-    kind: DeviationKind,
-    columns: slice,
-    scale: FloatArray,
-) -> float:
-    """Return the variance that a deviation would have from noise of the colour of what is left alone."""
-    rng = np.random.default_rng(0)
-    left = []
-    for group in range(len(units.conditions)):
-        trials = [trial_residual for index in units.of_group(group) for trial_residual in residual[index]]
-        length = min(map(len, trials), default=0)
-        if len(trials) > 1:
-            mean = np.mean([trial[:length] for trial in trials], axis=0)
-            left += [(trial[:length] - mean) / scale for trial in trials]
-    size = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
-    size = np.where(size > 0, size, 1.0)
-    whitener = fit_whitener([trial_residual / size for trial_residual in left])
-    drawn = []
-    for _ in range(_DEVIATION_DRAWS):
-        index = int(rng.integers(len(simulated)))
-        signature = (shape_of(kind, simulated[index], units.trials[index].time_s) / scale)[:, columns]
-        noise = (whitener.coloured(rng.standard_normal(simulated[index].shape)) * size)[:, columns]
-        energy = float(np.sum(np.square(signature)))
-        if energy > 0:
-            drawn.append(float(np.sum(signature * noise)) / energy)
-    return float(np.mean(np.square(drawn))) if drawn else np.inf

@@ -13,7 +13,13 @@ from labrun.fit.variables import deviated
 from labrun.gap.averaging import averaged
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.recalibration import recalibrate, stated_problem
-from labrun.gap.trial_wise import found_alone, set_anew, shape_of, simulated_changes, words
+from labrun.gap.trial_wise import (
+    deviations_without_repeats,
+    outputs_without_common_zero,
+    shape_of,
+    simulated_changes,
+    words,
+)
 
 from .benches import CONDITIONS, TRUE, FloatArray, among, dry_friction, nothing, pendulum, recorded
 
@@ -76,7 +82,7 @@ def test_zeros_set_anew_are_seen_without_repeats() -> None:
     data = never_repeated()
     zeros = [0.01, -0.008, 0.012, -0.02, 0.004]
     left = [values + zero for values, zero in zip(noise_like(data, 0.002), zeros, strict=True)]
-    (result,), *_ = found_alone(data, left, swings(data))
+    (result,), *_ = deviations_without_repeats(data, left, swings(data))
     assert (result.kind, result.output) == ("bias", 0)
     assert result.sd == pytest.approx(np.sqrt(np.mean(np.square(zeros))), rel=0.05)
 
@@ -100,24 +106,27 @@ def test_gains_and_start_times_are_seen_without_repeats(kind: DeviationKind) -> 
             sizes, simulated, data.trials, noise_like(data, 0.002), strict=True
         )
     ]
-    (result,), *_ = found_alone(data, left, simulated)
+    (result,), *_ = deviations_without_repeats(data, left, simulated)
     assert result.kind == kind
     assert result.sd == pytest.approx(np.sqrt(np.mean(np.square(sizes))), rel=0.1)
 
 
 def test_a_zero_that_all_trials_share_is_no_difference_between_them() -> None:
     data = never_repeated()
-    assert found_alone(data, [values + 0.05 for values in noise_like(data, 0.002)], swings(data)) == []
+    assert (
+        deviations_without_repeats(data, [values + 0.05 for values in noise_like(data, 0.002)], swings(data))
+        == []
+    )
 
 
 def test_zeros_set_anew_have_no_part_in_common_unless_all_trials_plainly_share_it() -> None:
     zero, data = [Deviation("bias", 0, 0.01)], never_repeated()
     zeros = [0.01, -0.008, 0.012, -0.02, 0.004]
-    assert set_anew(
+    assert outputs_without_common_zero(
         [values + of for values, of in zip(noise_like(data, 1e-3), zeros, strict=True)], zero
     ) == [0]
     shared = [values + 0.5 + of for values, of in zip(noise_like(data, 1e-3), zeros, strict=True)]
-    assert set_anew(shared, zero) == []
+    assert outputs_without_common_zero(shared, zero) == []
 
 
 def test_what_comes_and_goes_within_a_trial_is_no_offset_of_it() -> None:
@@ -126,7 +135,7 @@ def test_what_comes_and_goes_within_a_trial_is_no_offset_of_it() -> None:
         0.02 * np.sin(2 * np.pi * (0.13 + 0.02 * index) * trial.time_s + index)[:, None]
         for index, trial in enumerate(data.trials)
     ]
-    assert found_alone(data, slow, swings(data)) == []
+    assert deviations_without_repeats(data, slow, swings(data)) == []
 
 
 GAINS = (1.06, 0.95, 1.02, 0.93, 1.05)
@@ -158,7 +167,7 @@ def test_gains_of_an_input_are_told_from_those_of_the_sensor() -> None:
         (gain - 1.0) * change + noise
         for gain, change, noise in zip(GAINS, changes["input gain", 0], noise_like(data, 1e-4), strict=True)
     ]
-    (result,), *_ = found_alone(data, left, simulated, changes)
+    (result,), *_ = deviations_without_repeats(data, left, simulated, changes)
     assert (result.kind, result.output) == ("input gain", 0)
     assert words(result, [("angle", "rad")], (), [("torque", "N m")]).startswith("gain at torque differs")
 
@@ -172,7 +181,7 @@ def test_a_gain_of_an_input_is_worth_a_fit_where_friction_holds_the_joint_still_
         left.append((gain - 1.0) * change * np.repeat([[0.05], [1.0]], [half, len(change) - half], axis=0))
     assert ("input gain", 0) in [
         (deviation.kind, deviation.output)
-        for (deviation, *_) in found_alone(data, left, swings(data), changes)
+        for (deviation, *_) in deviations_without_repeats(data, left, swings(data), changes)
     ]
 
 
@@ -273,7 +282,9 @@ def test_what_trials_begin_with_is_told_only_if_their_first_samples_show_it(
         )
     ]
     shown = {("initial state", 0): changes}
-    alone = found_alone(data, left, [np.zeros_like(values) for values in left], shown, short_s=0.05)
+    alone = deviations_without_repeats(
+        data, left, [np.zeros_like(values) for values in left], shown, short_s=0.05
+    )
     kinds = [(deviation.kind, deviation.output) for several in alone for deviation in several]
     assert [kind for kind in kinds if kind[0] == "initial state"][:1] == message
 
@@ -283,5 +294,7 @@ def test_a_state_that_no_output_shows_at_once_is_not_asked_of_the_first_samples(
     changes = [np.sin(4.0 * trial.time_s)[:, None] for trial in data.trials]
     left = [size * change for size, change in zip([0.01, -0.008, 0.012, -0.02, 0.004], changes, strict=True)]
     shown = {("initial state", 1): changes}
-    alone = found_alone(data, left, [np.zeros_like(values) for values in left], shown, short_s=0.05)
+    alone = deviations_without_repeats(
+        data, left, [np.zeros_like(values) for values in left], shown, short_s=0.05
+    )
     assert ("initial state", 1) in [(deviation.kind, deviation.output) for deviation in alone[0]]
