@@ -22,12 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it
 from labrun.app.question import ask
 from labrun.gap import Diagnosis, Options, criteria, diagnose_dataset
 
-RULE = (
-    "STANDARD_ERRORS", "MARGIN", "SHARE_OF_GAP", "ENOUGH_UNITS", "RESAMPLES", "MOST_CAUSES", "RATED", "BEAM",
-    "FORMS_TRIED", "EXCHANGES", "MOST_FOLDS", "WITHHELD_BLOCKS", "LEAST_INFORMATION", "WITHIN_TOLERANCES", "FAR_OFF",
-    "MODEL_ROUNDING", "DEVIATION_P", "WORTH_BESIDE_BEST", "ALWAYS_FITTED", "WORTH_FOLLOWING",
-    "LARGE_REMAINDER", "EXPLAINED_REST", "MOSTLY_REST", "LEARNABLE",
-)  # fmt: skip
+CONSTANTS = tuple(name for name in vars(criteria) if name.isupper())
 
 
 def judged(diagnosis: Diagnosis, truth: Mapping[str, Any]) -> str:
@@ -74,7 +69,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", nargs="?", default=os.environ.get("LABRUN_RECORDINGS"))
-    parser.add_argument("--only", action="append", choices=RULE)
+    parser.add_argument("--only", action="append", choices=CONSTANTS)
     parser.add_argument("--recordings", nargs="*")
     options = parser.parse_args()
     folder = Path(options.folder)
@@ -87,7 +82,7 @@ def main() -> None:
     print(f"{len(truths)} recordings: {', '.join(truths)}. Right / partly right / wrong.\n")
     print("| constant | value | as it is | halved | doubled |\n|---|---|---|---|---|")
     usual = score(folder, truths)
-    for name in options.only or RULE:
+    for name in options.only or CONSTANTS:
         value = getattr(criteria, name)
         tallies = [usual]
         for factor in (0.5, 2.0):

@@ -6,7 +6,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.effects import EffectParameter
-from labrun.gap import criteria
+from labrun.gap import numerics
 from labrun.gap.diagnosis import ResampledNumber
 from labrun.gap.screening import Base, Screened
 
@@ -38,7 +38,7 @@ def upper_bounds(screened: Screened, base: Base, units: Mapping[str, str]) -> di
         ]
         if not per_unit:
             continue
-        room = abs(float(screened.z[size + index])) + criteria.NORMAL_95 / float(np.median(per_unit))
+        room = abs(float(screened.z[size + index])) + numerics.NORMAL_95 / float(np.median(per_unit))
         scale = candidate.scale.of(parameter.quantity)
         bound = min(room, max(abs(parameter.lower), abs(parameter.upper))) * scale
         low, high = max(-bound, min(parameter.lower, 0.0) * scale), min(bound, parameter.upper * scale)
@@ -70,7 +70,7 @@ def _least_levels(screened: Screened, base: Base, units: Mapping[str, str]) -> d
     ]
     if not levels:
         return {}
-    search = _Levels(screened, base, fitted, criteria.NORMAL_95**2)
+    search = _Levels(screened, base, fitted, numerics.NORMAL_95**2)
     bounds = {}
     for index in levels:
         parameter = fitted[index]

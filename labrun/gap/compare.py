@@ -17,7 +17,7 @@ from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, Scale
 from labrun.errors import RequestError
 from labrun.fit import Dataset, Each, FitTrial, Jacobian, Note, Problem, minimise, one_by_one, search, silent
-from labrun.gap import criteria
+from labrun.gap import criteria, numerics
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import COMMON, Candidate, candidates, site_scales
 from labrun.gap.diagnosis import Name, ResampledNumber
@@ -373,7 +373,7 @@ def _common(
     for effect in fitted:
         problem = problem.with_effect_in(BOTH, effect, scales[effect.effect.kind, effect.site])
     problem = problem.refined(problem.begin())
-    z = search(problem, rng, starts=criteria.RECALIBRATION_STARTS, note=silent)[0].z
+    z = search(problem, rng, starts=numerics.RECALIBRATION_STARTS, note=silent)[0].z
     noise = (
         from_repeats(data, member_residuals(problem, z))
         or from_reading_errors(data)
@@ -485,7 +485,7 @@ def _differences(
         if name in taken:
             continue
         released = problem.differing(name)
-        end = minimise(released, z, tolerance=criteria.FIT_TOLERANCE, evaluations=criteria.FIT_EVALUATIONS)
+        end = minimise(released, z, tolerance=numerics.FIT_TOLERANCE, evaluations=numerics.FIT_EVALUATIONS)
         change = _change(released, end, scatter(Base.of(released, end), noise, units, rng), name)
         value = float(values[problem.priors.free[variable]])
         known = max(abs(change.low), abs(change.high)) <= _KNOWN_NOT_TO_DIFFER * abs(value)
@@ -566,7 +566,7 @@ def _remarks(data: Dataset, first: int, second: int) -> list[str]:
         remarks.append(
             "the two have no condition in common: what the model lacks may look like a difference between them"
         )
-    if min(first, second) < criteria.FEWEST_UNIT_PIECES:
+    if min(first, second) < criteria.ENOUGH_UNITS:
         remarks.append(
             f"{first} and {second} trials: intervals rest on blocks of them, and do not show how trials differ"
         )

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from labrun.errors import RecordingError
 from labrun.fit import FEWEST_SAMPLES, Dataset, FitTrial
-from labrun.gap import criteria
+from labrun.gap import numerics
 from labrun.spec import condition_key
 
 _LONG_STEP = 5.0
@@ -125,7 +125,7 @@ def _disagreeing(dataset: Dataset) -> tuple[str, ...]:
 def _long_steps(trial: FitTrial) -> tuple[float, NDArray[np.intp]]:
     """Return the median step in s and the places of steps that are far longer."""
     steps_s = np.diff(trial.time_s)
-    if len(steps_s) < criteria.FEWEST_STEPS:
+    if len(steps_s) < numerics.FEWEST_STEPS:
         return 0.0, np.empty(0, dtype=np.intp)
     usual_s = float(np.median(steps_s))
     return usual_s, np.flatnonzero(steps_s > _LONG_STEP * usual_s) if usual_s > 0 else np.empty(
@@ -136,7 +136,7 @@ def _long_steps(trial: FitTrial) -> tuple[float, NDArray[np.intp]]:
 def _interval_s(trial: FitTrial) -> float | None:
     """Return the mean step without holes, s; None where there are too few to tell."""
     steps_s = np.diff(trial.time_s)
-    if len(steps_s) < criteria.FEWEST_STEPS or not np.median(steps_s) > 0:
+    if len(steps_s) < numerics.FEWEST_STEPS or not np.median(steps_s) > 0:
         return None
     return float(np.mean(steps_s[steps_s <= _LONG_STEP * np.median(steps_s)]))
 

@@ -51,7 +51,7 @@ class Units:
 
     def with_form_error_of(self, gap: FloatArray) -> "Units":
         """Return the units with the error that forms are allowed of a gap, squares (units, m) of the reference."""
-        return replace(self, form_error=criteria.EXPLAINED_REST**2 * gap)
+        return replace(self, form_error=criteria.NEGLIGIBLE**2 * gap)
 
 
 def correlation_samples(residual: FloatArray) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.effects import EffectParameter
 from labrun.fit import Problem, minimise
-from labrun.gap import criteria
+from labrun.gap import numerics
 from labrun.gap.candidates import Candidate
 from labrun.gap.screening import Base, Screened, derivatives_around
 from labrun.gap.steps import in_shorter_steps
@@ -86,7 +86,7 @@ def _resolved(base: Base, screened: Screened) -> Screened:
     acts.
     """
     while screened.candidate.attached is not None:
-        finer = in_shorter_steps(screened.problem, screened.z, criteria.STEPS_DO * screened.squares)
+        finer = in_shorter_steps(screened.problem, screened.z, numerics.STEPS_DO * screened.squares)
         if finer is screened.problem:
             break
         screened = _followed(base, screened, finer, screened.z)
@@ -97,12 +97,12 @@ def _followed(base: Base, screened: Screened, problem: Problem, start: FloatArra
     z = minimise(
         problem,
         start,
-        tolerance=criteria.FIT_TOLERANCE,
-        evaluations=criteria.FIT_EVALUATIONS,
+        tolerance=numerics.FIT_TOLERANCE,
+        evaluations=numerics.FIT_EVALUATIONS,
         central=False,
         secant=True,
         given_jacobian=derivatives_around(base, screened.candidate),
-        renewals=criteria.FIT_RENEWALS,
+        renewals=numerics.FIT_RENEWALS,
     )
     squares = problem.squares(z)
     return replace(screened, problem=problem, z=z, squares=squares, gain=max(base.squares - squares, 0.0))
@@ -124,8 +124,8 @@ def _shape_fitted(
         minimise(
             problem,
             np.concatenate([shared, start, own]),
-            tolerance=criteria.ROUGH_TOLERANCE,
-            evaluations=criteria.ROUGH_EVALUATIONS,
+            tolerance=numerics.ROUGH_TOLERANCE,
+            evaluations=numerics.ROUGH_EVALUATIONS,
             central=False,
             secant=around is not None,
             confirmed=around is None,

@@ -137,7 +137,7 @@ def held_out_excess(problem: Problem, z: FloatArray, noise: Noise) -> ExcessResi
 
 def folds(groups: int) -> list[list[int]]:
     """Return which conditions are left out together: one at a time, at most eight folds."""
-    count = min(groups, criteria.MOST_FOLDS)
+    count = min(groups, criteria.FOLDS)
     return [list(range(fold, groups, count)) for fold in range(count)]
 
 
@@ -174,7 +174,7 @@ def _block_residuals(problem: Problem, z: FloatArray) -> list[tuple[FloatArray, 
     predicted = zip(problem.data.trials, _predicted(problem, z), strict=True)
     residual = [trial.outputs - outputs for trial, outputs in predicted]
     beyond = [_beyond_spread(problem, index, problem.own(z, index)) for index in trials]
-    blocks = min(criteria.WITHHELD_BLOCKS, min(map(len, residual)) // 2)
+    blocks = min(criteria.FOLDS, min(map(len, residual)) // 2)
     if blocks < 2:
         return list(zip(residual, beyond, strict=True))
     jacobian = problem.jacobian(z, central=False)

@@ -8,7 +8,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, EffectParameter, unit_of
 from labrun.fit import Dataset, Problem
-from labrun.gap import criteria
+from labrun.gap import numerics
 from labrun.gap.diagnosis import ResampledNumber
 from labrun.gap.evidence import Units
 from labrun.gap.noise import Noise
@@ -32,7 +32,7 @@ def scatter(base: Base, noise: Noise, units: Units, rng: np.random.Generator) ->
     alone tell (jackknife). What is stated of parameters is a measurement as well, as uncertain as its tolerance: it is
     drawn with the noise. So are shapes that are held, as far as the data leave them open.
     """
-    linear, count = _Linear(base), criteria.INTERVAL_DRAWS
+    linear, count = _Linear(base), numerics.INTERVAL_DRAWS
     away = linear.moves_without_each(units)
     if noise.known:
         moved = linear.moved(_noise_draws(base.problem, noise, count, rng))
@@ -125,7 +125,7 @@ class _Linear:
             return np.zeros((0, self._problem.size))
         from scipy.stats import t
 
-        wide = float(t.ppf(0.975, count - 1)) / criteria.NORMAL_95
+        wide = float(t.ppf(0.975, count - 1)) / numerics.NORMAL_95
         away = np.array(moves) - np.mean(moves, axis=0)
         return np.asarray(wide * np.sqrt((count - 1.0) / count) * away)
 
@@ -189,7 +189,7 @@ def values_of(
             continue
         scale = float(problem.priors.scale[variable])
         low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
-        form = criteria.NORMAL_95 * _form_error(parameter) * abs(value)
+        form = numerics.NORMAL_95 * _form_error(parameter) * abs(value)
         low, high = -np.hypot(min(low, 0.0), form), np.hypot(max(high, 0.0), form)
         bounds = problem.priors.lower[variable] * scale, problem.priors.upper[variable] * scale
         values[parameter.name] = ResampledNumber(

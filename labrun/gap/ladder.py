@@ -6,7 +6,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.estimate import significant
-from labrun.gap import criteria
+from labrun.gap import criteria, numerics
 from labrun.gap.diagnosis import Cause, Name, Rest, Rung, Shrinkage, Sizes, Verdict
 from labrun.gap.evidence import UnseenError
 from labrun.gap.held_out import group_means
@@ -66,7 +66,7 @@ def shrinkage_of(search: Search, rng: np.random.Generator) -> Shrinkage | None:
     sizes = np.array([len(mean) for mean, _ in then], dtype=float)
     fresh = min(groups, _NEW_CONDITIONS) if noise.known else groups
     shares = []
-    for _ in range(criteria.RESAMPLES):
+    for _ in range(numerics.RESAMPLES):
         drawn = group_means(data, noise.draw(data, rng))
         pairs = [
             [_redrawn(side[group], drawn[group][0], noise, group) for side in (then, now)]
@@ -113,19 +113,19 @@ def rest_of(search: Search, model: CauseSet, *, ask: bool) -> Rest:
         return Rest(left, share, within_noise=within, nested=nested)
     problem, z = model.base.problem, model.base.z
     predictable = learnable_share(problem, z)
-    signals = dependence(problem, z, predictable) if predictable >= criteria.LEARNABLE else ()
+    signals = dependence(problem, z, predictable) if predictable >= criteria.NEGLIGIBLE else ()
     return Rest(left, share, predictable, signals, nested=nested)
 
 
 def verdict_of(search: Search, causes: Sequence[Cause], rest: Rest) -> Verdict:
     """Read the verdict off the ladder."""
     if causes:
-        if rest.within_noise or rest.share_of_gap < criteria.EXPLAINED_REST:
+        if rest.within_noise or rest.share_of_gap < criteria.NEGLIGIBLE:
             return "explained"
-        return "mostly-explained" if rest.share_of_gap < criteria.MOSTLY_REST else "partly-explained"
+        return "mostly-explained" if rest.share_of_gap < criteria.MOST else "partly-explained"
     if rest.within_noise:
         return "no-gap"
-    if search.noise.known or (rest.predictable or 0.0) >= criteria.LEARNABLE:
+    if search.noise.known or (rest.predictable or 0.0) >= criteria.NEGLIGIBLE:
         return "unexplained"
     return "cannot-tell"
 

@@ -19,6 +19,8 @@ _LEARNED_PIECES = 8
 """Pieces of every trial, one of which is withheld at a time."""
 _MOST_LEARNED = 10000
 """Samples that are learned from."""
+_MOST_NAMED = 2
+"""Signals that the rest is said to depend on, at most."""
 _NEURONS = 300
 _LOOKED_AT = 3.0
 _STEEPNESS = (0.3, 10.0)
@@ -67,8 +69,8 @@ def dependence(problem: Problem, z: FloatArray, whole: float) -> tuple[str, ...]
         )
         for name, parts in signals.items()
     }
-    best = sorted(shares, key=lambda name: -shares[name])[: criteria.MOST_DEPENDED_ON]
-    return tuple(name for name in best if shares[name] >= criteria.DEPENDS * whole)
+    best = sorted(shares, key=lambda name: -shares[name])[:_MOST_NAMED]
+    return tuple(name for name in best if shares[name] >= criteria.MOST * whole)
 
 
 def _share(

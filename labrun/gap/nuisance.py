@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
 from labrun.fit import Jacobian, NormalEquations, Problem
-from labrun.gap import criteria
+from labrun.gap import criteria, numerics
 
 _RIDGE = 1e-12
 
@@ -60,7 +60,7 @@ def basis(columns: FloatArray) -> FloatArray:
     if columns.shape[1] == 0:
         return columns
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    kept: FloatArray = left[:, singular > criteria.SPANNED * singular[0]]
+    kept: FloatArray = left[:, singular > numerics.SPANNED * singular[0]]
     return kept
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.estimate import significant
 from labrun.fit import Dataset, FitTrial
-from labrun.gap import criteria
+from labrun.gap import numerics
 from labrun.gap.motion import smoothed
 from labrun.models import Model, measured_name, observed, simulate
 from labrun.store import SignalInfo
@@ -37,7 +37,7 @@ def kept_on_course(dataset: Dataset, model: Model) -> tuple[Dataset, Model, str]
     """
     if not model.states or any(output.followed for output in model.outputs):
         return dataset, model, ""
-    trials = [trial for trial in dataset.trials if len(trial.time_s) >= criteria.FEWEST_STEPS]
+    trials = [trial for trial in dataset.trials if len(trial.time_s) >= numerics.FEWEST_STEPS]
     if not trials:
         return dataset, model, ""
     seen = [_linearised(model, trial) for trial in trials]
@@ -70,7 +70,7 @@ def kept_in_wells(dataset: Dataset, model: Model, growth: float) -> tuple[Datase
     tuple or None
         None where outputs do not show what there is to hold.
     """
-    trials = [trial for trial in dataset.trials if len(trial.time_s) >= criteria.FEWEST_STEPS]
+    trials = [trial for trial in dataset.trials if len(trial.time_s) >= numerics.FEWEST_STEPS]
     if not trials or not model.states or any(output.followed for output in model.outputs):
         return None
     seen = [_linearised(model, trial) for trial in trials]

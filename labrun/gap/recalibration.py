@@ -20,7 +20,7 @@ from labrun.fit import (
     one_by_one,
     search,
 )
-from labrun.gap import criteria
+from labrun.gap import criteria, numerics
 from labrun.gap.averaging import averaged
 from labrun.gap.held_out import ExcessResidual, fitted_excess, floor_of, mean_residuals
 from labrun.gap.noise import (
@@ -84,7 +84,7 @@ def recalibrate(
     """
     problem = replace(stated_problem(model, units), each=each)
     note("recalibrating the model within what is known of its parameters")
-    z = search(problem, rng, starts=criteria.RECALIBRATION_STARTS, note=lambda _: None)[0].z
+    z = search(problem, rng, starts=numerics.RECALIBRATION_STARTS, note=lambda _: None)[0].z
     refined = problem.refined(z)
     if refined.substeps > problem.substeps:
         z = refit(refined, z)
@@ -178,8 +178,8 @@ def settled_in_own_units(noise: Noise, problem: Problem, z: FloatArray) -> tuple
         z = minimise(
             problem,
             z,
-            tolerance=criteria.FIT_TOLERANCE,
-            evaluations=criteria.FIT_EVALUATIONS,
+            tolerance=numerics.FIT_TOLERANCE,
+            evaluations=numerics.FIT_EVALUATIONS,
             central=False,
             secant=True,
             confirmed=False,

@@ -9,7 +9,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.effects import FORCED
 from labrun.fit import Each, Jacobian, Problem, minimise, one_by_one
-from labrun.gap import criteria
+from labrun.gap import criteria, numerics
 from labrun.gap.candidates import Candidate, family
 from labrun.gap.diagnosis import Name
 from labrun.gap.lines import line_starts
@@ -282,8 +282,8 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
         z = minimise(
             problem,
             start,
-            tolerance=criteria.ROUGH_TOLERANCE,
-            evaluations=criteria.ROUGH_EVALUATIONS,
+            tolerance=numerics.ROUGH_TOLERANCE,
+            evaluations=numerics.ROUGH_EVALUATIONS,
             central=False,
             derivatives=None if jacobian is None else problem.jacobian(start, there, given_jacobian=jacobian),
             secant=jacobian is not None,
@@ -310,12 +310,12 @@ def follow(base: Base, screened: Screened) -> Screened:
     z = minimise(
         problem,
         screened.z,
-        tolerance=criteria.FIT_TOLERANCE,
-        evaluations=criteria.FIT_EVALUATIONS,
+        tolerance=numerics.FIT_TOLERANCE,
+        evaluations=numerics.FIT_EVALUATIONS,
         central=False,
         secant=True,
         given_jacobian=derivatives,
-        renewals=criteria.FIT_RENEWALS,
+        renewals=numerics.FIT_RENEWALS,
     )
     return _screened(base, screened.survey, problem, z, problem.squares(z))
 
@@ -339,7 +339,7 @@ def screen_all(
     known = known or {}
     surveys = [s for s in surveys if s.starts]
     best = max((s.potential for s in surveys), default=0.0)
-    needed = criteria.WORTH_BESIDE_BEST * best
+    needed = criteria.WORTH_FITTING * best
     top = sorted((s.potential for s in surveys), reverse=True)[: criteria.ALWAYS_FITTED]
     needed = min(needed, top[-1]) if top else needed
 
@@ -353,9 +353,7 @@ def screen_all(
 
     started = each(begin, surveys)
     gains = sorted((fit.gain for fit in started if fit.survey.potential >= needed), reverse=True)
-    enough = (
-        min(criteria.WORTH_FOLLOWING * gains[0], gains[: criteria.ALWAYS_FITTED + 1][-1]) if gains else 0.0
-    )
+    enough = min(criteria.WORTH_FITTING * gains[0], gains[: criteria.ALWAYS_FITTED + 1][-1]) if gains else 0.0
 
     def finish(screened: Screened) -> Screened:
         worthy = screened.survey.potential >= needed and screened.gain >= enough
@@ -371,7 +369,7 @@ def refit_from_related_optima(
 
     Related effects have their best sizes close together, and a fit from afar may have missed them.
     """
-    enough = criteria.WORTH_FOLLOWING * max((entry.gain for entry in screened), default=0.0)
+    enough = criteria.WORTH_FITTING * max((entry.gain for entry in screened), default=0.0)
 
     def again(start: Screened) -> Screened:
         kin = [

@@ -9,7 +9,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit import Problem
-from labrun.gap import criteria, decide
+from labrun.gap import criteria, decide, numerics
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name
 from labrun.gap.evidence import Units, UnseenError, unseen_error
@@ -209,7 +209,7 @@ class Selector:
         gap = self._judged(self.base).error.squares
         self.units = self.units.with_form_error_of(gap)
         self._best = self.reference = self._judged(self.base)
-        self._drawn = decide.resamples(self.units.strata, criteria.RESAMPLES, self.rng)
+        self._drawn = decide.resamples(self.units.strata, numerics.RESAMPLES, self.rng)
 
     def select(self) -> Selection:
         """Search forward, backward and by exchange, and return the causes with their rivals."""
@@ -340,7 +340,7 @@ class Selector:
 
     def _exchange(self) -> None:
         """Drop each cause that the others do without, and exchange each for what leads in its place."""
-        for _ in range(criteria.EXCHANGES):
+        for _ in range(criteria.MOST_CAUSES):
             best = self._best
             for candidate in best.candidates:
                 without = self._without(best, candidate.name)
@@ -458,9 +458,7 @@ class Selector:
         if not extended:
             return []
         usual = list(extended)
-        nearest = [
-            int(row) for row in np.argsort([entry.error.mean for entry in extended])[: criteria.FORMS_TRIED]
-        ]
+        nearest = [int(row) for row in np.argsort([entry.error.mean for entry in extended])[: criteria.BEAM]]
         lead = extended.index(self._leader(extended))
 
         def forms(row: int) -> tuple[CauseSet, list[CauseSet]]:

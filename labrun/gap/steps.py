@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray, IntArray
 from labrun.fit import Problem
-from labrun.gap import criteria
+from labrun.gap import numerics
 from labrun.models import Drive, simulate
 
 _FINER = 4
@@ -107,7 +107,7 @@ def in_longer_steps(problem: Problem, z: FloatArray, fewest: Sequence[IntArray])
     if coarser is problem:
         return problem
     before = _squares_by_trial(problem, z)
-    change, moved = _squares_by_trial(coarser, z) - before, criteria.STEPS_DO * float(np.sum(before))
+    change, moved = _squares_by_trial(coarser, z) - before, numerics.STEPS_DO * float(np.sum(before))
     if abs(np.sum(change)) <= moved:
         return coarser
     stays = _staying(change, _STEPS_STAY_IN_BASE * moved)

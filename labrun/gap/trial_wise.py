@@ -362,7 +362,7 @@ def _predicts_unseen_blocks(
             others = float(np.sum(energy) - energy[index])
             elsewhere = float(np.sum(along) - along[index]) / others if others > 0 else shared
             usual = np.mean(np.square(block - shared * part))
-            left = np.mean(np.square(block - elsewhere * part)) + criteria.EXPLAINED_REST**2 * usual
+            left = np.mean(np.square(block - elsewhere * part)) + criteria.NEGLIGIBLE**2 * usual
             before.append(float(np.log(max(usual, np.finfo(float).tiny))))
             after.append(float(np.log(max(left, np.finfo(float).tiny))))
             strata.append(trial)

@@ -17,7 +17,7 @@ from labrun.gap.diagnosis import Name, ResampledNumber
 from labrun.gap.intervals import effect_units
 from labrun.gap.next.run_bench import RunBench
 from labrun.gap.next.separation import Change, Imitation, greedy
-from labrun.gap.next.trials import PlannedTrial, evenly, planned_data
+from labrun.gap.next.trials import NEXT_REPEATS, PlannedTrial, evenly, planned_data
 from labrun.models import Model, simulate
 from labrun.notebook import as_reported
 from labrun.store import SignalInfo
@@ -151,7 +151,7 @@ def plan_trials(
     rng: np.random.Generator,
     *,
     noise: Mapping[str, float] | None = None,
-    repeats: int = criteria.NEXT_REPEATS,
+    repeats: int = NEXT_REPEATS,
     out: Path | None = None,
     each: Each = one_by_one,
     note: Note = silent,

@@ -24,7 +24,7 @@ from labrun.gap.next.separation import (
     predict,
     rivals_of,
 )
-from labrun.gap.next.trials import PlannedTrial, free_place
+from labrun.gap.next.trials import NEXT_REPEATS, PlannedTrial, free_place
 from labrun.gap.pipeline import Search, search_causes
 from labrun.notebook import as_html
 from labrun.store import imported_channels, open_run, require_writable
@@ -351,7 +351,7 @@ def propose(
         that cannot be written.
     """
     rng = np.random.default_rng(seed)
-    dataset, repeats = question.dataset, criteria.NEXT_REPEATS
+    dataset, repeats = question.dataset, NEXT_REPEATS
     run = None if dataset.kind == "recording" else open_run(target)
     if run is None or imported_channels(run.experiment_toml):
         file = out or free_place(workspace, f"{dataset.name}-next", "recording.toml")
@@ -398,7 +398,7 @@ def design(
     """Choose from a pool the trials that best separate what a search leaves."""
     rivals = rivals_of(search)
     note(f"comparing {len(pool)} trials for {len(rivals.rivals)} explanations")
-    separation = Separation(rivals, dataset, pool, criteria.NEXT_REPEATS)
+    separation = Separation(rivals, dataset, pool, NEXT_REPEATS)
     chosen = separation.choose()
     evidence = tuple(separation.evidence(chosen))
     if not chosen or hopeless(evidence):
@@ -439,7 +439,7 @@ def _proposal(
         rivals.doubt,
         rivals.why,
         trials.trials,
-        criteria.NEXT_REPEATS,
+        NEXT_REPEATS,
         *times_s,
         trials.evidence,
         tuple(would_separate(*pair) for pair in once.values()),

@@ -433,7 +433,7 @@ class Separation:
         planned = [
             np.mean(
                 [
-                    np.log1p(np.mean(block, axis=0) / scale / (usual + criteria.EXPLAINED_REST**2 * whole))
+                    np.log1p(np.mean(block, axis=0) / scale / (usual + criteria.NEGLIGIBLE**2 * whole))
                     for block in np.array_split(squares, min(blocks, len(squares)))
                 ]
             )

@@ -14,6 +14,8 @@ from labrun.errors import RequestError
 from labrun.fit import Dataset, FitTrial
 from labrun.store import replace_durably, saving
 
+NEXT_REPEATS = 3
+"""Repeats of each proposed trial."""
 _FARTHEST_VALUE = 4.0
 _NO_LIMIT_NEAR = 20.0
 """How far beyond the greatest measured value, as a factor, where no limit is nearer than the second."""

@@ -12,7 +12,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.errors import LabrunError
 from labrun.fit import silent
-from labrun.gap import criteria
+from labrun.gap import criteria, numerics
 from labrun.gap.averaging import averaged
 from labrun.gap.recalibration import recalibrate
 from labrun.gap.robot.one_joint import Prescribed, one_joint
@@ -55,7 +55,7 @@ def _alone(prescribed: Prescribed) -> tuple[FloatArray, FloatArray]:
     )
     for index in range(len(prescribed.robot.joints)):
         lead_s, sd_s, deviation = 0.0, np.inf, 0.0
-        for _ in range(criteria.CLOCK_STEPS):
+        for _ in range(numerics.CLOCK_STEPS):
             torque = JointTorque.of(prescribed.led(lead_s), index)
             if not np.any(torque.late):
                 break
@@ -71,7 +71,7 @@ def _alone(prescribed: Prescribed) -> tuple[FloatArray, FloatArray]:
             deviation = max(float(np.std(torque.left - columns @ fitted)), torque.least)
             # what is left by goals at this time grows by `late` with every second that they are read further ahead
             lead_s -= float(
-                np.clip(fitted[0], -criteria.CLOCK_FARTHEST_STEP_S, criteria.CLOCK_FARTHEST_STEP_S)
+                np.clip(fitted[0], -numerics.CLOCK_FARTHEST_STEP_S, numerics.CLOCK_FARTHEST_STEP_S)
             )
             sd_s = float(scale[0] * np.sqrt(inverse[0, 0]))
         leads.append(lead_s)

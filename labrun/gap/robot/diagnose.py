@@ -9,7 +9,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit import Dataset, Note, silent
-from labrun.gap import criteria
+from labrun.gap import criteria, numerics
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.robot.clock import common_lead
@@ -212,7 +212,7 @@ def _smoothing_gap(joint: OneJoint, drawn: OneJoint) -> float:
         inputs[:, own] = trial.inputs[:, own]
         substeps = substeps or suggest_substeps(
             joint.model, trial.time_s[:50], trial.inputs[:50], initial_state=begin, condition=trial.condition,
-            tolerance=1e-3, most=criteria.ROBOT_SUBSTEPS,
+            tolerance=1e-3, most=numerics.ROBOT_SUBSTEPS,
         )  # fmt: skip
         courses = [
             simulate(
@@ -329,8 +329,7 @@ def _explained_by_others(
     """
     return [
         again[index]
-        if index in again
-        and again[index][1].gap.recalibrated < criteria.EXPLAINED_BY_OTHERS * answer[1].gap.recalibrated
+        if index in again and again[index][1].gap.recalibrated < criteria.MOST * answer[1].gap.recalibrated
         else answer
         for index, answer in enumerate(answers)
     ]

@@ -16,7 +16,7 @@ from labrun.arrays import FloatArray, IntArray
 from labrun.effects import AttachedEffect
 from labrun.errors import LabrunError
 from labrun.fit import Dataset, FitTrial, Note, Problem, minimise, silent
-from labrun.gap import criteria, decide
+from labrun.gap import criteria, decide, numerics
 from labrun.gap.candidates import site_scales
 from labrun.gap.held_out import mean_residuals
 from labrun.gap.motion import smoothed
@@ -330,8 +330,8 @@ def _fitted(
         np.concatenate([shared, own.ravel()]),
         lower=np.where(stays, shared, priors.lower),
         upper=np.where(stays, shared, priors.upper),
-        tolerance=criteria.FIT_TOLERANCE,
-        evaluations=criteria.FIT_EVALUATIONS,
+        tolerance=numerics.FIT_TOLERANCE,
+        evaluations=numerics.FIT_EVALUATIONS,
         central=False,
         secant=True,
         confirmed=False,
@@ -430,7 +430,7 @@ class Pieces:
             start = np.array([state.get(name, 0.0) for name in model.states])
             substeps = substeps or suggest_substeps(
                 model, trial.time_s[:50], self.inputs[index][:50], initial_state=start, tolerance=1e-3,
-                most=criteria.ROBOT_SUBSTEPS,
+                most=numerics.ROBOT_SUBSTEPS,
             )  # fmt: skip
             made = simulate(
                 model, trial.time_s, self.inputs[index], initial_state=start, condition=trial.condition,
@@ -515,7 +515,7 @@ def _cut(robot: Robot, dataset: Dataset) -> list[FitTrial]:
     driven = {actuator.joint for actuator in robot.actuators}
     held = servo and all(joint.name in driven for joint in robot.joints)
     pieces = []
-    wanted = int(np.ceil(criteria.FEWEST_PIECES / len(dataset.trials)))
+    wanted = int(np.ceil(2 * criteria.FILE_FOLDS / len(dataset.trials)))
     for trial in dataset.trials:
         length_s = float(trial.time_s[-1] - trial.time_s[0])
         count = wanted if held else max(wanted, round(length_s / criteria.FREE_PIECE_S))

@@ -252,7 +252,7 @@ def log_errors(errors: FloatArray, joints: Sequence[int], gap: FloatArray) -> Fl
         Mean squared residual of each joint that causes are to explain.
     """
     chosen = list(joints)
-    form_error = criteria.EXPLAINED_REST**2 * gap[chosen]
+    form_error = criteria.NEGLIGIBLE**2 * gap[chosen]
     logs = np.log(np.maximum(errors[:, chosen] + form_error, _LEAST * np.maximum(gap[chosen], _LEAST)))
     seen = np.isfinite(logs)
     mean: FloatArray = np.where(seen, logs, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)

@@ -95,9 +95,7 @@ def links_that_explain(prescribed: Prescribed, lacking: Sequence[int], seed: int
             around = prescribed.with_links({**known, index: by})
             others = [other for other in had if other != index and other not in known]
             left = {other: _gap(_recalibrated(one_joint(around, other), seed)) for other in others}
-            explained = {
-                other for other, gap in left.items() if gap < criteria.EXPLAINED_BY_OTHERS * had[other]
-            }
+            explained = {other for other, gap in left.items() if gap < criteria.MOST * had[other]}
             removed = sum(had[other] ** 2 - left[other] ** 2 for other in explained)
             if removed > most:
                 most, best, after = removed, (index, by), {**had, **left}
@@ -125,7 +123,7 @@ def _that_explain_their_own(
     for each in every[: criteria.LINKS_ASKED]:
         end = follow(base, rough(base, each))
         left = fitted_excess(end.problem, end.z, fitted.noise).gap
-        if left >= criteria.EXPLAINED_BY_OTHERS * had:
+        if left >= criteria.MOST * had:
             continue
         values = end.problem.model_parameters(end.z)
         named = {

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.gap import criteria
+from labrun.gap import criteria, numerics
 from labrun.gap.robot.one_joint import Prescribed
 from labrun.gap.robot.torques import JointTorque
 from labrun.models import TipLoad
@@ -35,7 +35,7 @@ def place_of_load(prescribed: Prescribed, tip: TipLoad) -> FloatArray | None:
     ]
     mass, far_end = 0.0, tip.far_end
     reach = max(float(np.linalg.norm(far_end)), _DIFFERENCE_M)
-    for _ in range(criteria.LOAD_STEPS):
+    for _ in range(numerics.LOAD_STEPS):
         at, slopes = tip.torque(far_end), []
         for axis in np.eye(3):
             ends = [tip.torque(far_end + sign * _DIFFERENCE_M * axis) for sign in (-1.0, 1.0)]
@@ -57,7 +57,7 @@ def _fitted(joints: Sequence[JointTorque], load: FloatArray, mass_kg: float, tri
     size, share = 4 + count + own * len(joints), min(criteria.NUMBERS_A_TRIAL * trials / len(load), 1.0)
     deviations = [max(float(np.std(joint.left)), joint.least) for joint in joints]
     column = np.zeros(size)
-    for _ in range(criteria.LOAD_STEPS):
+    for _ in range(numerics.LOAD_STEPS):
         normal, right = np.zeros((size, size)), np.zeros(size)
         normal[range(4, 4 + count), range(4, 4 + count)] = 1.0 / criteria.MASS_TOLERANCE**2
         rows = []

@@ -7,7 +7,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import LabrunError
-from labrun.gap import criteria
+from labrun.gap import numerics
 from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.robot.diagnosis import OF_THE_LOG, OF_THE_WHOLE, JointDiagnosis, OfTheWhole, RobotDiagnosis
 from labrun.gap.robot.one_joint import OneJoint, Prescribed
@@ -133,7 +133,7 @@ def _errors(prescribed: Prescribed, model: Model) -> FloatArray:
                 trial.inputs[:50],
                 initial_state=begin,
                 tolerance=1e-3,
-                most=criteria.ROBOT_SUBSTEPS,
+                most=numerics.ROBOT_SUBSTEPS,
             )
         made = simulate(
             model,

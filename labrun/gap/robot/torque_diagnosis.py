@@ -14,7 +14,7 @@ from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, Effect, load_effect
 from labrun.errors import LabrunError
 from labrun.fit import Dataset, Note, silent
-from labrun.gap import criteria, decide
+from labrun.gap import criteria, decide, numerics
 from labrun.gap.diagnose import Options
 from labrun.gap.diagnosis import (
     Cause,
@@ -118,8 +118,8 @@ def explain_torques(
     note("resampling the units of evidence")
     evidence, active = selection.evidence, selection.active
     values = evidence.fit(active)
-    drawn = np.zeros((criteria.RESAMPLES, len(values)))
-    draws = decide.resamples(np.zeros(evidence.units, dtype=np.int64), criteria.RESAMPLES, rng)
+    drawn = np.zeros((numerics.RESAMPLES, len(values)))
+    draws = decide.resamples(np.zeros(evidence.units, dtype=np.int64), numerics.RESAMPLES, rng)
     drawn[:, active] = evidence.resampled(active, draws, rng)
     remarks = (
         *units.sentences,
@@ -450,10 +450,8 @@ class _Telling:
             message = f"Error of its torque on unseen data, {unit}: {ladder}."
             if causes:
                 share = rest / gap if gap > 0.0 else 0.0
-                verdict = "explained" if share <= criteria.EXPLAINED_REST else "partly-explained"
-                verdict = (
-                    "mostly-explained" if criteria.EXPLAINED_REST < share <= criteria.MOSTLY_REST else verdict
-                )
+                verdict = "explained" if share <= criteria.NEGLIGIBLE else "partly-explained"
+                verdict = "mostly-explained" if criteria.NEGLIGIBLE < share <= criteria.MOST else verdict
                 sentence = message
             else:
                 verdict = "no-gap"
@@ -537,7 +535,7 @@ class _Telling:
             best, spread = float(values.mean()), _jackknife_error(values[:, 0])
             every = np.zeros(len(self.answer.values))
             every[:] = self.answer.values
-            every[group] = abs(best) + criteria.NORMAL_95 * spread
+            every[group] = abs(best) + numerics.NORMAL_95 * spread
             bounds = dict(self.parameters(candidate, every))
             units = self.parameter_units(candidate)
             bound = {

@@ -76,7 +76,7 @@ class JointTorque:
             [asked, rate, np.sign(rate), np.ones_like(q), own.armature[joint_index] * acceleration]
         )
         spread = np.array([criteria.GAIN_TOLERANCE, np.inf, np.inf, np.inf, criteria.MASS_TOLERANCE])
-        least = max(criteria.LEAST_TORQUE_LEFT * float(np.std(effort if drive is not None else left)), 1e-12)
+        least = max(criteria.LEAST_TORQUE * float(np.std(effort if drive is not None else left)), 1e-12)
         others = [number for number, body in enumerate(prescribed.terms[0].bodies) if body != without]
         return cls(left, least, columns, spread, masses[:, others], late)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.gap import criteria
+from labrun.gap import criteria, numerics
 from labrun.gap.where.difference import Difference
 from labrun.gap.where.parts import Part
 
@@ -114,11 +114,11 @@ class NuisanceSubspace:
 def _basis(white: FloatArray, plain: FloatArray) -> _Basis:
     """Return orthonormal directions of whitened columns, without what is only rounding."""
     norms = np.linalg.norm(white, axis=0)
-    kept = norms > criteria.SPANNED * float(np.max(norms, initial=0.0))
+    kept = norms > numerics.SPANNED * float(np.max(norms, initial=0.0))
     if not np.any(kept):
         return _Basis(white[:, :0], plain[:, :0])
     left, singular, right = np.linalg.svd(white[:, kept] / norms[kept], full_matrices=False)
-    rank = singular > criteria.SPANNED * singular[0]
+    rank = singular > numerics.SPANNED * singular[0]
     return _Basis(left[:, rank], (plain[:, kept] / norms[kept]) @ (right[rank].T / singular[rank]))
 
 
