@@ -15,8 +15,9 @@ from labrun.gap import criteria
 from labrun.gap.candidates import candidates, site_scales
 from labrun.gap.diagnosis import Name, ResampledNumber
 from labrun.gap.intervals import effect_units
+from labrun.gap.next.imitation import Change, Imitation
 from labrun.gap.next.run_bench import RunBench
-from labrun.gap.next.separation import Change, Imitation, greedy
+from labrun.gap.next.separation import greedy
 from labrun.gap.next.trials import NEXT_REPEATS, PlannedTrial, evenly, planned_data
 from labrun.models import Model, simulate
 from labrun.notebook import as_reported

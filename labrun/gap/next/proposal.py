@@ -14,16 +14,9 @@ from labrun.gap import criteria
 from labrun.gap.diagnose import Question
 from labrun.gap.diagnosis import Name
 from labrun.gap.next.recording_bench import RecordingBench
+from labrun.gap.next.rivals import Rival, Rivals, rivals_of
 from labrun.gap.next.run_bench import RunBench
-from labrun.gap.next.separation import (
-    Evidence,
-    Rival,
-    Rivals,
-    Separation,
-    hopeless,
-    predict,
-    rivals_of,
-)
+from labrun.gap.next.separation import Evidence, Separation, hopeless, predict
 from labrun.gap.next.trials import NEXT_REPEATS, PlannedTrial, free_place
 from labrun.gap.pipeline import Search, search_causes
 from labrun.notebook import as_html

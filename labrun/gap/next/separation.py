@@ -8,289 +8,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labrun.arrays import FloatArray, IntArray
-from labrun.fit import Dataset, Problem
+from labrun.arrays import FloatArray
+from labrun.fit import Dataset
 from labrun.gap import criteria, decide
-from labrun.gap.diagnosis import Name
-from labrun.gap.evidence import UnseenError
+from labrun.gap.next.imitation import Change, Imitation, Recorded
+from labrun.gap.next.rivals import Rival, Rivals
 from labrun.gap.next.trials import PlannedTrial, planned_data
-from labrun.gap.noise import Noise
-from labrun.gap.nuisance import basis, off
-from labrun.gap.pipeline import Search
-from labrun.gap.selection import CauseSet
 
 _NEXT_TRIALS = (2, 4)
 """Fewest and most trials that are proposed."""
-_MOST_EXPLANATIONS = 6
-"""Explanations that are held against one another."""
 _PREDICTED_APART = 0.3
 """Difference between rivals, in units of what the outputs do, beyond which a fit may not find its way."""
-_TOLD_APART = 1.5
-"""Evidence, over what a diagnosis asks for, at which two explanations are expected to be told apart."""
-_ENOUGH = 3.0
-"""Evidence, over what a diagnosis asks for, at which no further trial is needed."""
+_SEPARATED = 1.5
+"""Evidence, in margins of the rule, at which two explanations are expected to be told apart: the forecast is of first
+order, and may be off by half of a margin."""
+_ENOUGH = 2 * _SEPARATED
+"""Evidence, in margins of the rule, at which no further trial is needed."""
 _HOPELESS_EVIDENCE = 0.1
 """Evidence below which a pair has no part in the choice, and trials are not worth their time."""
-
-NOTHING = "recalibration only"
-
-
-@dataclass(frozen=True, eq=False)
-class Rival:
-    """One explanation of the data.
-
-    Attributes
-    ----------
-    name
-        What is special about it, for people.
-    cause
-        None for the recalibrated model without any effect.
-    variables
-        Number of variables of its causes.
-    error
-        What it leaves of recorded data that its fit has not seen.
-    """
-
-    name: str
-    cause: Name | None
-    problem: Problem
-    z: FloatArray
-    variables: int
-    error: UnseenError
-
-    @property
-    def words(self) -> str:
-        """Its name for people."""
-        return self.name if self.cause is None else self.cause.words
-
-    @property
-    def shared(self) -> FloatArray:
-        """Scaled parameters and effect sizes."""
-        return self.z[: self.problem.size]
-
-    @property
-    def own(self) -> FloatArray:
-        """Scaled free initial states, shape (units, states)."""
-        return self.z[self.problem.size :].reshape(len(self.problem.data.trials), self.problem.own_size)
-
-    @property
-    def sizes(self) -> dict[str, float]:
-        """Parameters of its own effect by name, SI; empty for a parameter or without a cause."""
-        if self.cause is None or self.cause.kind == "parameter":
-            return {}
-        attached = self.problem.attached(self.problem.parameters(self.z))
-        key = self.cause.effect, self.cause.site
-        matching = [effect for effect in attached if (effect.effect.id, effect.site) == key]
-        return dict(matching[-1].named_values) if matching else {}
-
-
-@dataclass(frozen=True)
-class Rivals:
-    """What is to be told apart.
-
-    Attributes
-    ----------
-    rivals
-        The most probable first.
-    null
-        The recalibrated model: what each of them is an improvement on.
-    doubt
-        Whether the diagnosis itself could not tell them apart; else the cause is held against its runner-up.
-    why
-        What is compared with what, as a sentence.
-    noise
-        Of one trial.
-    strata : (units,)
-        Condition of each recorded unit of evidence.
-    """
-
-    rivals: tuple[Rival, ...]
-    null: Rival
-    doubt: bool
-    why: str
-    noise: Noise
-    strata: IntArray
-
-    @property
-    def pairs(self) -> list[tuple[Rival, Rival]]:
-        """Every two of them, each once as the truth and once as its rival."""
-        return [(truth, other) for truth in self.rivals for other in self.rivals if truth is not other]
-
-    def by_condition(self, values: FloatArray) -> FloatArray:
-        """Return the mean of values (units,) over the units of each recorded condition."""
-        return np.array([np.mean(values[self.strata == condition]) for condition in np.unique(self.strata)])
-
-
-def rivals_of(search: Search) -> Rivals:
-    """Return the explanations that a search leaves, fitted again closely.
-
-    Where the diagnosis is in doubt these are the cause and what cannot be told from it. Where it is not, the cause is
-    held against the runner-up, or against recalibration alone if there is none.
-    """
-    selection = search.selection
-    reference = selection.reference
-    null = Rival(NOTHING, None, reference.base.problem, reference.base.z, 0, reference.error)
-    noise, strata = search.noise, search.units.strata
-    last = selection.steps[-1]
-    # several doubtful causes: the one that closes least stands beside all others
-    doubtful = [cause for cause in selection.chosen if cause.rivals]
-    if doubtful:
-        cause = doubtful[-1]
-        rivals = [
-            _named(cause.name, last),
-            *(_named(entry.candidates[-1].name, entry) for entry in cause.rivals),
-        ]
-        rivals = rivals[:_MOST_EXPLANATIONS]
-        names = " or ".join(rival.words for rival in rivals[1:])
-        why = f"The data do not separate {rivals[0].words} from {names}."
-        return Rivals(tuple(rivals), null, True, why, noise, strata)
-    judged = [] if selection.first is None else selection.first.extended
-    if not selection.chosen:
-        best = [_named(entry.candidates[-1].name, entry) for entry in judged[:2]]
-        why = "No cause was named: the best candidates are compared with recalibration alone."
-        return Rivals((*best, null), null, False, why, noise, strata)
-    cause = selection.chosen[-1]
-    others = [entry for entry in judged if entry.names != last.names]
-    if len(selection.chosen) == 1 and others:
-        second = _named(others[0].candidates[-1].name, others[0])
-        against = f"the runner-up, {second.words}"
-    else:
-        second, against = null, null.name
-    first = _named(cause.name, last)
-    why = f"The diagnosis is not in doubt: {first.words} is compared with {against}."
-    return Rivals((first, second), null, False, why, noise, strata)
-
-
-def _named(name: Name, model: CauseSet) -> Rival:
-    variables = sum(candidate.variables for candidate in model.candidates)
-    return Rival(str(name), name, model.base.problem, model.base.z, variables, model.error)
-
-
-@dataclass(frozen=True)
-class Change:
-    """What something changes of the residuals of every trial, less what the initial states of the trial imitate.
-
-    Attributes
-    ----------
-    parts : per trial (rows,)
-    pull : (trials, p)
-        Products with the derivatives by the parameters.
-    squares : (trials,)
-    """
-
-    parts: tuple[FloatArray, ...]
-    pull: FloatArray
-    squares: FloatArray
-
-
-class Imitation:
-    """Parameters and initial states that move to imitate changes, as far as their bounds and what is known allow.
-
-    Parameters
-    ----------
-    problem, z
-        With the trials that could be made.
-    known : (p, p)
-        What prior and recorded data say of the parameters.
-    """
-
-    def __init__(self, problem: Problem, z: FloatArray, known: FloatArray, *, central: bool = True) -> None:
-        self._spans, self._rows = _adapted(problem, z, central)
-        self._information = np.array([rows.T @ rows for rows in self._rows])
-        self._known = known
-        shared = z[: problem.size]
-        self._room = (
-            np.minimum(problem.priors.lower - shared, 0.0),
-            np.maximum(problem.priors.upper - shared, 0.0),
-        )
-
-    def change(self, residuals: Sequence[FloatArray]) -> Change:
-        """Return a change of the residuals as it is compared here."""
-        parts = tuple(off(span, part) for span, part in zip(self._spans, residuals, strict=True))
-        pull = np.array([rows.T @ part for rows, part in zip(self._rows, parts, strict=True)])
-        return Change(parts, pull, np.array([part @ part for part in parts]))
-
-    def remaining(self, change: Change, chosen: Sequence[int]) -> float:
-        """Return the sum of squares that the parameters cannot imitate: of the chosen trials, and what moving costs."""
-        pull = change.pull[list(chosen)].sum(axis=0)
-        moved = self.moved(change, chosen)
-        squares = float(
-            change.squares[list(chosen)].sum() - 2.0 * pull @ moved + moved @ self._total(chosen) @ moved
-        )
-        return max(squares, 0.0)
-
-    def remainder(self, change: Change, chosen: Sequence[int], moved: FloatArray) -> list[FloatArray]:
-        """Return what is left of each chosen trial, (rows,) each, once the parameters have moved."""
-        return [change.parts[index] - self._rows[index] @ moved for index in chosen]
-
-    def moved(self, change: Change, chosen: Sequence[int]) -> FloatArray:
-        """Return how far the parameters move, (p,), to imitate a change of the chosen trials."""
-        total, pull = self._total(chosen), change.pull[list(chosen)].sum(axis=0)
-        moved, free = np.zeros(len(pull)), np.ones(len(pull), dtype=bool)
-        while np.any(free):
-            moved[free] = _solved(
-                total[np.ix_(free, free)], pull[free] - total[np.ix_(free, ~free)] @ moved[~free]
-            )
-            inside = np.clip(moved, *self._room)
-            beyond = free & (inside != moved)
-            moved = inside
-            if not np.any(beyond):
-                break
-            free &= ~beyond
-        return moved
-
-    def cosines(self, changes: Sequence[Change], chosen: Sequence[int]) -> FloatArray:
-        """Return how alike changes are in the chosen trials once parameters adapt to each: |cosine|, (n, n)."""
-        pull = np.array([change.pull[list(chosen)].sum(axis=0) for change in changes])
-        whole = np.array([np.concatenate([change.parts[index] for index in chosen]) for change in changes])
-        products = whole @ whole.T - pull @ _solved(self._total(chosen), pull.T)
-        size = np.sqrt(np.maximum(np.diag(products), 1e-300))
-        return np.asarray(np.abs(products) / np.outer(size, size))
-
-    def _total(self, chosen: Sequence[int]) -> FloatArray:
-        return np.asarray(self._known + self._information[list(chosen)].sum(axis=0))
-
-
-def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the least-squares solution of normal equations, (p,) or (p, n), whatever the scales of the variables."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    solution = np.linalg.lstsq(matrix * np.outer(scale, scale), (right.T * scale).T, rcond=1e-12)[0]
-    return np.asarray((solution.T * scale).T)
-
-
-class Recorded:
-    """What the recorded data say of a rival's parameters and effect sizes, its initial states eliminated.
-
-    Attributes
-    ----------
-    information : (p, p)
-        J'J of data and prior.
-    by_condition : (conditions, p, p)
-        J'J of the data of each condition, per sample and trial.
-    """
-
-    def __init__(self, problem: Problem, z: FloatArray) -> None:
-        _, rows = _adapted(problem, z, central=False)
-        products = [block.T @ block for block in rows]
-        self.information = np.asarray(sum(products, np.diag(problem.priors.slope**2)))
-        data, means = problem.data, []
-        for group in range(len(data.conditions)):
-            members = data.of_group(group)
-            samples = sum(data.trials[index].outputs.size * data.trials[index].count for index in members)
-            if members:
-                means.append(np.sum([products[index] for index in members], axis=0) / samples)
-        self.by_condition = np.array(means)
-
-    def errors(self, moved: FloatArray) -> FloatArray:
-        """Return the mean squares (conditions,) by which moved parameters miss the recorded data."""
-        return np.asarray(np.einsum("i,cij,j->c", moved, self.by_condition, moved))
-
-
-def _adapted(problem: Problem, z: FloatArray, central: bool) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Return, trial by trial, what initial states can do, and derivatives by the parameters without it."""
-    jacobian = problem.jacobian(z, central=central)
-    spans = [basis(own) for own in jacobian.own]
-    return spans, [off(span, shared) for span, shared in zip(spans, jacobian.shared, strict=True)]
 
 
 def greedy(
@@ -360,12 +95,12 @@ class Evidence:
     @property
     def told_apart(self) -> bool:
         """Whether a diagnosis is expected to decide between the two."""
-        return self.is_simpler or self.ratio >= _TOLD_APART
+        return self.is_simpler or self.ratio >= _SEPARATED
 
     @property
     def by_simplicity(self) -> bool:
         """Whether the rival would explain it as well, and loses for having more parameters."""
-        return self.is_simpler and self.ratio < _TOLD_APART
+        return self.is_simpler and self.ratio < _SEPARATED
 
 
 def hopeless(pairs: Sequence[Evidence]) -> bool:
@@ -510,7 +245,7 @@ class Separation:
             )
 
         cheap = greedily(1.0)
-        return cheap if min(ratios(cheap)) >= _TOLD_APART else max(cheap, greedily(0.0), key=value)
+        return cheap if min(ratios(cheap)) >= _SEPARATED else max(cheap, greedily(0.0), key=value)
 
 
 def predict(rival: Rival, dataset: Dataset, trials: Sequence[PlannedTrial]) -> list[FloatArray | None]:

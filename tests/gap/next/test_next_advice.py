@@ -6,7 +6,7 @@ import pytest
 
 from labrun.gap.diagnosis import Name
 from labrun.gap.next.proposal import would_separate
-from labrun.gap.next.separation import NOTHING
+from labrun.gap.next.rivals import NOTHING
 
 
 def _rival(effect, kind="effect"):

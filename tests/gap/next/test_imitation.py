@@ -6,7 +6,7 @@ from swings import dataset_of, swing
 
 from labrun.fit import Problem
 from labrun.gap.averaging import averaged
-from labrun.gap.next.separation import Imitation, Recorded
+from labrun.gap.next.imitation import Imitation, Recorded
 from labrun.gap.recalibration import as_stated
 from labrun.models import parse_model
 
