@@ -7,16 +7,13 @@ library in one unit alone or in both. The rule of `labrun.gap.decide` chooses am
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Self, cast
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
-from labrun.effects import AttachedEffect, Scale
 from labrun.errors import RequestError
-from labrun.fit import Dataset, Each, FitTrial, Jacobian, Note, Problem, minimise, one_by_one, search, silent
+from labrun.fit import Dataset, Each, FitTrial, Note, Problem, minimise, one_by_one, search, silent
 from labrun.gap import criteria, numerics
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import COMMON, Candidate, candidates, site_scales
@@ -25,6 +22,7 @@ from labrun.gap.evidence import Units
 from labrun.gap.held_out import floor_of, mean_residuals
 from labrun.gap.intervals import effect_units, scatter
 from labrun.gap.noise import Noise, from_reading_errors, from_repeats, of_sensor
+from labrun.gap.paired_problem import BOTH, FIRST, SECOND, UNIT, PairedProblem, difference_of
 from labrun.gap.progress import Progress
 from labrun.gap.recalibration import as_stated, in_noise, member_residuals, stated_problem
 from labrun.gap.screening import Base, refit
@@ -32,12 +30,6 @@ from labrun.gap.selection import Chosen, Selection, Selector
 from labrun.models import Model
 from labrun.notebook import as_reported
 
-UNIT = "unit compared"
-"""Key of a trial's condition that says which unit it is of."""
-FIRST, SECOND, BOTH = "first", "second", ""
-
-_HELD, _RELEASED = 1e-6, 1e4
-"""Standard deviation of a difference that is held at zero, and of one that is not, in units of the variable."""
 _KNOWN_NOT_TO_DIFFER = 0.2
 """Change, as a part of the value, up to which something is said not to differ."""
 
@@ -124,131 +116,6 @@ class UnitComparison:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class _Pair(Problem):
-    """A problem of two units: each variable has a difference in the second one; some effects act in one of them only.
-
-    Attributes
-    ----------
-    places, slots
-        Of each variable that has a difference, its index among the parameters, and the index of its difference.
-    ends
-        The values it may take in the second unit.
-    only
-        Of every effect, the unit that has it; "" where both do.
-    """
-
-    places: tuple[int, ...] = ()
-    slots: tuple[int, ...] = ()
-    ends: tuple[tuple[float, float], ...] = ()
-    only: tuple[str, ...] = ()
-
-    def with_differences(self, variables: Sequence[int]) -> Self:
-        """Return the problem with a difference of each of these variables, held at zero."""
-        priors, count = self.priors, len(self.priors.values)
-        places = [int(priors.free[variable]) for variable in variables]
-        parameters = self.model.parameters
-        ends = [
-            (parameters[index].lower, parameters[index].upper)
-            if index < len(parameters)
-            else (float(end[0]), float(end[1]))
-            for index, end in zip(places, np.column_stack(self._ends(variables)), strict=True)
-        ]
-        slots = range(count, count + len(variables))
-        scale = priors.scale[list(variables)]
-        names = tuple(_difference_of(priors.names[variable]) for variable in variables)
-        held = replace(
-            priors,
-            values=np.append(priors.values, np.zeros(len(slots))),
-            free=np.append(priors.free, slots),
-            names=(*priors.names, *names),
-            scale=np.append(priors.scale, scale),
-            sigma=np.append(priors.sigma, _HELD * scale),
-            pull=np.append(priors.pull, _HELD * scale),
-            lower=np.append(priors.lower, np.full(len(slots), -np.inf)),
-            upper=np.append(priors.upper, np.full(len(slots), np.inf)),
-        )
-        return replace(
-            self,
-            priors=held,
-            places=(*self.places, *places),
-            slots=(*self.slots, *slots),
-            ends=(*self.ends, *ends),
-        )
-
-    def _ends(self, variables: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        chosen = list(variables)
-        scale = self.priors.scale[chosen]
-        return self.priors.lower[chosen] * scale, self.priors.upper[chosen] * scale
-
-    def differing(self, name: str) -> Self:
-        """Return the problem in which a variable may differ."""
-        variable = self.priors.names.index(_difference_of(name))
-        sigma, pull = self.priors.sigma.copy(), self.priors.pull.copy()
-        sigma[variable], pull[variable] = np.inf, _RELEASED * self.priors.scale[variable]
-        return replace(self, priors=replace(self.priors, sigma=sigma, pull=pull))
-
-    def with_effect_in(self, unit: str, attached: AttachedEffect, scale: Scale) -> Self:
-        """Return the problem with an effect that one unit has, or both."""
-        return replace(self.with_effects([attached], [scale]), only=(*self.only, unit))
-
-    def attached(self, parameters: FloatArray) -> tuple[AttachedEffect, ...]:
-        """Return the effects with their sizes, as they are in the first unit."""
-        return super().attached(np.delete(parameters, self.slots) if self.slots else parameters)
-
-    def simulate(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
-        """Return the outputs (n, m) of one trial of its unit; None where they are not finite."""
-        unit, parameters = self.data.trials[trial].condition[UNIT], parameters.copy()
-        if unit == SECOND:
-            for index, slot, (low, high) in zip(self.places, self.slots, self.ends, strict=True):
-                parameters[index] = min(max(parameters[index] + parameters[slot], low), high)
-        for index, unit_of_effect, neutral in self._in_one_unit:
-            if unit_of_effect not in (BOTH, unit) and neutral is not None:
-                parameters[index] = neutral
-        return super().simulate(parameters, trial, own)
-
-    @cached_property
-    def _in_one_unit(self) -> list[tuple[int, str, float | None]]:
-        """Index among the parameters, unit, and neutral value of each parameter of the effects in one unit alone."""
-        indices = iter(
-            np.delete(np.arange(len(self.priors.values)), self.slots)[len(self.model.parameters) :]
-        )
-        return [
-            (int(next(indices)), unit, parameter.neutral)
-            for effect, unit in zip(self.effects, self.only, strict=True)
-            for parameter in effect.effect.parameters
-        ]
-
-    def jacobian(
-        self,
-        z: FloatArray,
-        residual: list[FloatArray] | None = None,
-        *,
-        central: bool = True,
-        moving: NDArray[np.bool_] | None = None,
-        given_jacobian: Jacobian | None = None,
-    ) -> Jacobian:
-        """Return residuals and their derivatives; those by a difference are those by its variable, in one unit."""
-        free = self.priors.free.tolist()
-        of, differences = (
-            [free.index(location) for location in places] for places in (self.places, self.slots)
-        )
-        simulated = np.ones(self.size, dtype=bool) if moving is None else moving.copy()
-        simulated[differences] = False
-        jacobian = super().jacobian(
-            z, residual, central=central, moving=simulated, given_jacobian=given_jacobian
-        )
-        if given_jacobian is None:
-            for trial, shared in zip(self.data.trials, jacobian.shared, strict=True):
-                if trial.condition[UNIT] == SECOND:
-                    shared[:, differences] = shared[:, of]
-        return jacobian
-
-
-def _difference_of(name: str) -> str:
-    return f"difference of {name}"
-
-
 @dataclass(frozen=True)
 class _UnitName(Name):
     """Name of an effect in one unit, or of a difference between both, with its words for people."""
@@ -266,7 +133,7 @@ class _Differs(Candidate):
     variable: str = ""
 
     def added_to(self, problem: Problem) -> Problem:
-        return cast("_Pair", problem).differing(self.variable)
+        return cast("PairedProblem", problem).differing(self.variable)
 
 
 @dataclass(frozen=True)
@@ -283,7 +150,7 @@ class _InUnit(Candidate):
     def added_to(self, problem: Problem) -> Problem:
         if self.attached is None or self.scale is None:
             raise TypeError("an effect of one unit has a site")
-        return cast("_Pair", problem).with_effect_in(self.unit, self.attached, self.scale)
+        return cast("PairedProblem", problem).with_effect_in(self.unit, self.attached, self.scale)
 
 
 def compare_units(
@@ -360,7 +227,7 @@ def _both_units(first: Dataset, second: Dataset) -> Dataset:
 
 def _common(
     model: Model, data: Dataset, rng: np.random.Generator, note: Note
-) -> tuple[_Pair, FloatArray, Noise]:
+) -> tuple[PairedProblem, FloatArray, Noise]:
     """Fit one model to both units, the sizes of the effects it carries too, each with a difference held at zero."""
     note("fitting one model to both")
     bare = replace(model, effects=())
@@ -369,7 +236,7 @@ def _common(
     fitted = [effect for effect in model.effects if (effect.effect.kind, effect.site) in scales]
     if len(fitted) < len(model.effects):  # sizes that nothing shows stay as they are, and the model with them
         bare, fitted = model, []
-    problem = as_stated(_Pair.of(bare, data))
+    problem = as_stated(PairedProblem.of(bare, data))
     for effect in fitted:
         problem = problem.with_effect_in(BOTH, effect, scales[effect.effect.kind, effect.site])
     problem = problem.refined(problem.begin())
@@ -384,12 +251,12 @@ def _common(
     return *_fitted(problem, np.insert(z, count, np.zeros(count)), noise), noise
 
 
-def _fitted(problem: _Pair, z: FloatArray, noise: Noise) -> tuple[_Pair, FloatArray]:
+def _fitted(problem: PairedProblem, z: FloatArray, noise: Noise) -> tuple[PairedProblem, FloatArray]:
     fitted = in_noise(problem, noise, z)
-    return cast("_Pair", fitted.problem), fitted.z
+    return cast("PairedProblem", fitted.problem), fitted.z
 
 
-def _library(problem: _Pair, z: FloatArray) -> list[Candidate]:
+def _library(problem: PairedProblem, z: FloatArray) -> list[Candidate]:
     """Return the differences of all variables, and the effects that the model has not, in either unit or both."""
     library: list[Candidate] = []
     for variable in _variables(problem):
@@ -416,10 +283,10 @@ def _library(problem: _Pair, z: FloatArray) -> list[Candidate]:
     return library
 
 
-def _variables(problem: _Pair) -> list[int]:
+def _variables(problem: PairedProblem) -> list[int]:
     """Return the variables that have a difference."""
     names = problem.priors.names
-    return [variable for variable, name in enumerate(names) if _difference_of(name) in names]
+    return [variable for variable, name in enumerate(names) if difference_of(name) in names]
 
 
 def _named(problem: Problem, variable: int) -> tuple[Name, str]:
@@ -436,8 +303,8 @@ def _words(name: Name, parameter: str) -> str:
 
 
 def _with_common(
-    problem: _Pair, z: FloatArray, selection: Selection, common: Sequence[Chosen], noise: Noise
-) -> tuple[_Pair, FloatArray, list[str]]:
+    problem: PairedProblem, z: FloatArray, selection: Selection, common: Sequence[Chosen], noise: Noise
+) -> tuple[PairedProblem, FloatArray, list[str]]:
     """Return the common model with the effects that both units have, and the names of their variables."""
     final, count = selection.final, problem.size
     at, sizes = count, list[FloatArray]()
@@ -445,7 +312,7 @@ def _with_common(
     for candidate in final.added:
         if candidate.name in chosen:
             sizes.append(final.z[at : at + candidate.variables])
-            problem = cast("_Pair", candidate.added_to(problem))
+            problem = cast("PairedProblem", candidate.added_to(problem))
         at += candidate.variables
     added = list(range(count, problem.size))
     start = np.insert(z, count, np.concatenate([*sizes, np.zeros(len(added))]))
@@ -457,7 +324,7 @@ def _differences(
 ) -> tuple[UnitDifference, ...]:
     """Return what differs, what closes most first; then what both lack, what does not differ, and what is open."""
     final = selection.final
-    problem, z = cast("_Pair", final.problem), final.z
+    problem, z = cast("PairedProblem", final.problem), final.z
     moved = scatter(Base.of(problem, z), noise, units, rng)
     values = problem.parameters(z)
     differing, taken = list[UnitDifference](), set[str]()
@@ -497,7 +364,7 @@ def _differences(
     return (*differing, *sorted(others, key=lambda difference: order.index(difference.verdict)))
 
 
-def _rivals(problem: _Pair, cause: Chosen) -> tuple[str, ...]:
+def _rivals(problem: PairedProblem, cause: Chosen) -> tuple[str, ...]:
     """Return the names of the rivals of a cause, without richer forms of the effect whose size differs."""
     variable = getattr(cause.candidate, "variable", "")
     name = _named(problem, problem.priors.names.index(variable))[0] if variable else cause.name
@@ -510,15 +377,15 @@ def _rivals(problem: _Pair, cause: Chosen) -> tuple[str, ...]:
     return tuple(str(rival.name) for rival in rivals if not is_richer(rival))
 
 
-def _change(problem: _Pair, z: FloatArray, moved: FloatArray, name: str) -> ResampledNumber:
+def _change(problem: PairedProblem, z: FloatArray, moved: FloatArray, name: str) -> ResampledNumber:
     """Return the difference of a variable between the units."""
     variable = problem.priors.names.index(name)
     unit = _unit(problem, variable)
-    return _estimate(problem, z, moved, problem.priors.names.index(_difference_of(name)), unit)
+    return _estimate(problem, z, moved, problem.priors.names.index(difference_of(name)), unit)
 
 
 def _estimate(
-    problem: _Pair, z: FloatArray, moved: FloatArray, variable: int, unit: str | None = None
+    problem: PairedProblem, z: FloatArray, moved: FloatArray, variable: int, unit: str | None = None
 ) -> ResampledNumber:
     """Return a variable with its 95 % interval, given how it moves from experiment to experiment, (draws, size)."""
     scale = float(problem.priors.scale[variable])
@@ -541,7 +408,7 @@ def _share(selection: Selection) -> float | None:
     if not selection.chosen:
         return None
     final, before = selection.final, selection.reference.base
-    problem = cast("_Pair", final.problem)
+    problem = cast("PairedProblem", final.problem)
     common = before.problem.with_noise(problem.noise)
     whole = common.squares(refit(common, before.z))
     everything = problem
