@@ -21,11 +21,23 @@ def readmes() -> dict[str, Path]:
 def on_config(config: Any) -> Any:
     """Put the devices where the navigation says ``devices/*``."""
     pages = [f"{_AT}.md", *(f"{_AT}/{name}.md" for name in readmes())]
-    for entry in config.nav:
-        for title, inner in entry.items():
-            if inner == f"{_AT}/*":
-                entry[title] = pages
+    config.nav = _with_devices(config.nav, pages)
     return config
+
+
+def _with_devices(entries: list[Any], pages: list[str]) -> list[Any]:
+    filled = []
+    for entry in entries:
+        if not isinstance(entry, dict):
+            filled.append(entry)
+            continue
+        ((title, inner),) = entry.items()
+        if inner == f"{_AT}/*":
+            inner = pages
+        elif isinstance(inner, list):
+            inner = _with_devices(inner, pages)
+        filled.append({title: inner})
+    return filled
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _FENCE = re.compile(
-    r"^(?:<!-- no-run: (?P<reason>[^\n]+?) -->\n+)?(?P<indent> *)```(?P<language>\w+)(?P<info>[^\n]*)\n"
+    r"^(?:<!-- (?P<mark>no-run|slow): (?P<reason>[^\n]+?) -->\n+)?(?P<indent> *)```(?P<language>\w+)(?P<info>[^\n]*)\n"
     r"(?P<body>.*?)^(?P=indent)```$",
     re.MULTILINE | re.DOTALL,
 )
@@ -24,6 +24,8 @@ class Block:
     body: str
     reason: str | None
     """Why it is not run; None if it is."""
+    slow: bool = False
+    """Whether it is run with the slow tests only."""
 
     @property
     def file(self) -> str | None:
@@ -45,16 +47,28 @@ class Command:
 
 
 def blocks(path: Path) -> list[Block]:
-    """Return the fenced blocks of a page; a comment ``<!-- no-run: why -->`` before one says why it is not run."""
+    """Return the fenced blocks of a page.
+
+    A comment ``<!-- no-run: why -->`` before a block says why it is not run, ``<!-- slow: why -->`` why only the slow
+    tests run it.
+    """
     text = path.read_text(encoding="utf-8")
     results = []
     for match in _FENCE.finditer(text):
         line = text[: match.start("language")].count("\n") + 1
-        reason = match["reason"]
+        reason = match["reason"] if match["mark"] == "no-run" else None
         if match["info"].strip() == "set-up":
             reason = "makes an environment of its own; the server runs it in a fresh copy"
         results.append(
-            Block(path.name, line, match["language"], match["info"], textwrap.dedent(match["body"]), reason)
+            Block(
+                path.name,
+                line,
+                match["language"],
+                match["info"],
+                textwrap.dedent(match["body"]),
+                reason,
+                slow=match["mark"] == "slow",
+            )
         )
     return results
 

@@ -65,7 +65,7 @@ def test_the_python_of_the_page_runs_and_the_comments_hold(workspace):
 import numpy as np
 assert run.trials.attrs["units"]["thrust"] == "N"
 mine = run.signals("wrench", trial=12)
-np.testing.assert_array_equal(one.torque_y, mine.torque_y)
+np.testing.assert_array_equal(trial.torque_y, mine.torque_y)
 np.testing.assert_array_equal(tared, mine.torque_y)
 np.testing.assert_array_equal(raw.torque_y - raw.torque_y.attrs["tare"], mine.torque_y)
 assert table.thrust.values.tolist() == run.trials.thrust.tolist()

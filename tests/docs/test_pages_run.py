@@ -54,20 +54,20 @@ ENDINGS = {
 """Output by which a page shows that a command ends badly, with its exit code; all others must end well."""
 RUNS = ("run", "sweep", "cmaes", "track", "design")
 SLOW = (
-    "a-scene-of-your-own.md",
     "buckling-fins.md",
+    "camera-stabiliser.md",
     "closed-chains.md",
     "closed-loop.md",
+    "compare-with-data.md",
     "design-a-robot.md",
-    "designed-swimmer.md",
     "diagnose-the-gap.md",
-    "emulate.md",
-    "hold-a-prediction.md",
-    "learned-models.md",
-    "learning-beside-the-loop.md",
-    "stabilise.md",
+    "fit.md",
+    "learned-controllers.md",
+    "simulate-your-bench.md",
+    "specimen-tests.md",
+    "step-response.md",
 )
-"""Pages that take long, besides those of the fits; of what the README shows, too, its own lines are enough."""
+"""Pages that take long as a whole; of what the README shows, too, its own lines are enough."""
 MOST_NOT_RUN = 21
 """A block that is marked and could run is a page nobody checks: whoever adds one must raise this number."""
 
@@ -80,9 +80,15 @@ def runnable(path: Path) -> list[Block]:
     ]
 
 
-def _as_parameter(path: Path):
-    slow = path.parent.name == "fits" or path.name in SLOW
-    return pytest.param(path, id=path.name, marks=[pytest.mark.slow] if slow else [])
+def _as_parameters():
+    """Yield each page to be run, without its slow blocks, and again with them where it has any."""
+    for path in PAGES:
+        page = runnable(path)
+        slow = any(block.slow for block in page)
+        if path.name in SLOW or slow:
+            yield pytest.param(path, True, id=path.name + "-whole" * slow, marks=pytest.mark.slow)
+        if path.name not in SLOW and not all(block.slow for block in page):
+            yield pytest.param(path, False, id=path.name)
 
 
 def test_what_is_not_run_says_why_and_is_little():
@@ -93,13 +99,13 @@ def test_what_is_not_run_says_why_and_is_little():
     assert len(marked) <= MOST_NOT_RUN, listing
 
 
-@pytest.mark.parametrize("path", [_as_parameter(path) for path in PAGES if runnable(path)])
-def test_what_the_page_says_works(path, tmp_path):
+@pytest.mark.parametrize(("path", "whole"), list(_as_parameters()))
+def test_what_the_page_says_works(path, whole, tmp_path):
     reader = Reader(tmp_path)
     if path.name == "README.md":
         reader.prepare_readme()
     for block in runnable(path):
-        if block.reason is None:
+        if block.reason is None and (whole or not block.slow):
             reader.do(block)
     reader.run_python()
 

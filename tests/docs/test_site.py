@@ -93,7 +93,7 @@ def test_every_module_of_the_reference_is_there():
 
 def test_every_function_of_the_api_has_its_line_and_its_place_in_the_reference():
     functions = {name for name in dir(labrun) if not name.startswith("_")}
-    lines = re.findall(r"^\| `labrun.*", (DOCS / "python.md").read_text(encoding="utf-8"), re.M)
+    lines = re.findall(r"^\| `labrun.*", (DOCS / "api" / "index.md").read_text(encoding="utf-8"), re.M)
     assert {name for line in lines for name in re.findall(r"`labrun\.(\w+)\(", line)} == functions
     reference = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md"))
     modules = set(re.findall(API, reference, re.M))
@@ -124,12 +124,15 @@ def test_every_device_has_its_line_in_the_index_and_its_page_on_the_site():
     devices, index = _hook("devices"), (DOCS / "devices.md").read_text(encoding="utf-8")
     linked = {(DOCS / link).resolve() for link in re.findall(r"\]\((\S+/README\.md)\)", index)}
     assert linked == {path.resolve() for path in devices.readmes().values()}
-    config = SimpleNamespace(nav=[{"Devices": "devices/*"}])
-    ((pages,),) = [section.values() for section in devices.on_config(config).nav]
-    assert pages == ["devices.md", *(f"devices/{name}.md" for name in devices.readmes())]
+    config = SimpleNamespace(nav=["index.md", {"Your hardware": ["safety.md", {"Devices": "devices/*"}]}])
+    _, section = devices.on_config(config).nav
+    assert section["Your hardware"][1]["Devices"] == [
+        "devices.md",
+        *(f"devices/{name}.md" for name in devices.readmes()),
+    ]
 
 
-@pytest.mark.parametrize("page", ["recordings.md", "fits/pid.md"])
+@pytest.mark.parametrize("page", ["recordings.md", "examples/fish.md"])
 def test_a_link_to_a_readme_leads_to_the_page_of_the_device_on_the_site(page):
     up = "../" * (page.count("/") + 1)
     link = f"see [it]({up}plugins/labrun_plugins/ati_daq/README.md#wiring)"

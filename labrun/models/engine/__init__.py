@@ -1,6 +1,6 @@
 """The engine room: compiled integration of any model with any effects. Importing it imports numba.
 
-docs/the-engine-room.md explains it.
+docs/development/architecture.md explains it.
 """
 
 from labrun.models.engine.calling import call_model
