@@ -34,6 +34,7 @@ GROUPS = (
     "labrun.models",
     "labrun.effects",
     "labrun.scenes",
+    "labrun.cases",
 )
 RIGS = "labrun.rigs"
 RIG_FILE = "rig.toml"
@@ -124,6 +125,21 @@ def is_installed(group: str, name: str) -> bool:
     return name in _entries(group)
 
 
+def _kind(group: str) -> str:
+    """Return what a plugin of a group is called in messages."""
+    return group.removeprefix("labrun.").removesuffix("s")
+
+
+def _entry(group: str, name: str) -> tuple[EntryPoint, Distribution | None]:
+    """Return an entry point with its distribution. Raises PluginError: unknown name."""
+    if name not in _entries(group):
+        near = nearest(name, names(group))
+        known = ", ".join(names(group)) or "none"
+        hint = f"did you mean {near!r}?" if near else f"installed: {known}"
+        raise PluginError(f"unknown {_kind(group)} plugin {name!r}", hint=hint)
+    return _entries(group)[name]
+
+
 def load(group: str, name: str) -> Any:
     """Return the object a plugin names.
 
@@ -139,15 +155,10 @@ def load(group: str, name: str) -> Any:
     PluginError
         Unknown name (with the nearest one), or a failing import (with its cause).
     """
-    kind = group.removeprefix("labrun.").removesuffix("s")
+    kind = _kind(group)
     if ":" in name:
         return _load_dotted(kind, name)
-    entry, dist = _entries(group).get(name, (None, None))
-    if entry is None:
-        near = nearest(name, names(group))
-        known = ", ".join(names(group)) or "none"
-        hint = f"did you mean {near!r}?" if near else f"installed: {known}"
-        raise PluginError(f"unknown {kind} plugin {name!r}", hint=hint)
+    entry, dist = _entry(group, name)
     try:
         return entry.load()
     except Exception as error:  # whatever a third party's module raises while it is imported
@@ -156,6 +167,24 @@ def load(group: str, name: str) -> Any:
             f"{kind} plugin {name!r} of {brought_by} cannot be imported: {type(error).__name__}: {error}",
             hint=f"python -c 'import {entry.module}' shows the whole cause",
         ) from error
+
+
+def package_folder(group: str, name: str) -> Path:
+    """Return the folder of the package that an entry point names; does not import the package.
+
+    Raises
+    ------
+    PluginError
+        Unknown name, or a package that does not exist.
+    """
+    entry, dist = _entry(group, name)
+    spec = find_spec(entry.module)
+    if spec is None or spec.origin is None:
+        raise PluginError(
+            f"the package {entry.value!r} of {_origin(dist)}, entry point {name!r} of {group}, does not exist",
+            hint="install the distribution again",
+        )
+    return Path(spec.origin).parent
 
 
 def _load_dotted(kind: str, name: str) -> Any:

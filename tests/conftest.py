@@ -33,7 +33,7 @@ _IN_REAL_TIME = (
     "tests/runner/test_emulated_bench.py",
     "tests/devices/test_pacing.py",
 )
-_ON_A_SIMULATED_CLOCK = "tests/plugins/simulated"
+_WITHOUT_DEVICES = ("tests/plugins/simulated", "tests/plugins/cases")
 
 
 @pytest.hookimpl(tryfirst=True)  # groups are read by xdist in the same hook
@@ -45,9 +45,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """
     for item in items:
         module_path = Path(item.path).relative_to(config.rootpath).as_posix()
-        in_real_time = module_path.startswith(_IN_REAL_TIME) and not module_path.startswith(
-            _ON_A_SIMULATED_CLOCK
-        )
+        in_real_time = module_path.startswith(_IN_REAL_TIME) and not module_path.startswith(_WITHOUT_DEVICES)
         if in_real_time and config.pluginmanager.hasplugin("rerunfailures"):
             item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=1))
         if isinstance(item, pytest.Function):

@@ -16,10 +16,11 @@ from labrun.blind.jobs import Files
 from labrun.errors import LabrunError, RequestError
 from labrun.fit import Note
 from labrun.interrupts import Interrupted, number_of
+from labrun.registry import package_folder
 from labrun.store import replace_durably
 
-SHIPPED_GENERATOR = Path(__file__).parent / "cases"
-"""Code that makes sealed cases and imports nothing of labrun."""
+_GENERATOR = "labrun.cases", "sealed"
+"""Entry point of the generator that makes the cases unless another is named: a package that runs as a folder."""
 _ASKED = "asked.json"
 _MODEL = "model.toml"
 _SEAL = "seal.json"
@@ -147,7 +148,7 @@ def prepare(
     Parameters
     ----------
     generator
-        Folder of the code that makes them; that which comes with labrun if None.
+        Folder of the code that makes them; if None, that of the entry point ``sealed`` of group ``labrun.cases``.
     only
         Kind of all cases; the generator's mixture of kinds if None.
     data
@@ -157,6 +158,8 @@ def prepare(
     ------
     RequestError
         The folder holds something else, or there is no such generator.
+    PluginError
+        No generator is installed.
     LabrunError
         The generator failed, with the last lines of what it said.
     """
@@ -176,7 +179,7 @@ def prepare(
     folder.path.parent.mkdir(parents=True, exist_ok=True)
     command = [
         sys.executable,
-        str(generator or SHIPPED_GENERATOR),
+        str(generator or package_folder(*_GENERATOR)),
         "--cases",
         str(cases),
         "--seed",

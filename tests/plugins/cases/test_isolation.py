@@ -3,7 +3,6 @@
 import ast
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -66,24 +65,3 @@ def test_it_runs_where_labrun_cannot_be_imported(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "alone" / "cases" / "case-0002" / "recording.toml").is_file()
-
-
-def test_the_import_rules_name_every_part_of_labrun_that_the_generator_could_borrow_from() -> None:
-    package = GENERATOR.parents[1]
-    rules = tomllib.loads((package.parent / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
-        "importlinter"
-    ]
-    (rule,) = (
-        contract
-        for contract in rules["contracts"]
-        if contract.get("source_modules") == ["labrun.blind.cases"]
-    )
-    parts = [
-        f"labrun.{path.stem}"
-        for path in package.iterdir()
-        if path.suffix in ("", ".py") and path.name != "blind"
-    ]
-    parts += [f"labrun.blind.{path.stem}" for path in GENERATOR.parent.glob("*.py")]
-    assert {part for part in parts if "__" not in part and "shipped" not in part} <= set(
-        rule["forbidden_modules"]
-    )

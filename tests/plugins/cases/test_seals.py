@@ -4,8 +4,7 @@ import json
 from pathlib import Path
 
 from generating_cases import Done, Generate, generate_apart
-
-from labrun.blind.cases.writing import seal, verify
+from labrun_plugins.cases.writing import seal, verify
 
 Made = tuple[Path, Done]
 

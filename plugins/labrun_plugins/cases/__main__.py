@@ -1,4 +1,4 @@
-"""Run as ``python -m labrun.blind.cases``, or as a folder: then nothing of the package around it is imported."""
+"""Run as ``python -m labrun_plugins.cases``, or as a folder: then nothing of the package around it is imported."""
 
 import os
 import sys
@@ -9,9 +9,10 @@ from pathlib import Path
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
-# however it was started, it is found under its own short name, also by the processes that it starts
+# However it is started, it goes by the name of its folder, also in the processes that it starts. The parent folder is
+# the last to be searched: its packages must not replace modules of the same names in the standard library.
 _HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(_HERE.parent))
+sys.path.append(str(_HERE.parent))
 
 if __name__ == "__main__":
     sys.exit(import_module(f"{_HERE.name}.cli").main())

@@ -20,7 +20,7 @@ ROBOTS = "robot"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    parser = argparse.ArgumentParser(prog="labrun.blind.cases", description=__doc__, allow_abbrev=False)
+    parser = argparse.ArgumentParser(prog="labrun_plugins.cases", description=__doc__, allow_abbrev=False)
     parser.add_argument("--cases", type=int, default=60, metavar="N", help="how many cases to make")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="below 1000: development")
     parser.add_argument("--first", type=int, default=1, metavar="K", help="number of the first case, from 1")

@@ -2,16 +2,15 @@
 
 import numpy as np
 import pytest
+from labrun_plugins.cases.bench import Bench, Drive
+from labrun_plugins.cases.forms import FORMS
+from labrun_plugins.cases.mixture import DECK, ChannelNoise, choose, kind_of, places
+from labrun_plugins.cases.plant import Hidden, Measures, Programme
+from labrun_plugins.cases.plants import PLANTS, FreeDecay, HingeDrive, LinearStage, Swimmer
+from labrun_plugins.cases.simulate import adaptive, fixed
+from labrun_plugins.cases.sizing import Projection, Recalibration, measure, size_of
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
-
-from labrun.blind.cases.bench import Bench, Drive
-from labrun.blind.cases.forms import FORMS
-from labrun.blind.cases.mixture import DECK, ChannelNoise, choose, kind_of, places
-from labrun.blind.cases.plant import Hidden, Measures, Programme
-from labrun.blind.cases.plants import PLANTS, FreeDecay, HingeDrive, LinearStage, Swimmer
-from labrun.blind.cases.simulate import adaptive, fixed
-from labrun.blind.cases.sizing import Projection, Recalibration, measure, size_of
 
 
 def drawn(kind, wanted, start=0):

@@ -6,11 +6,12 @@ import sys
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
-from pathlib import Path
 
-from labrun.blind.cases.cli import main
+from labrun_plugins.cases.cli import main
 
-GENERATOR = Path(__file__).resolve().parents[3] / "labrun" / "blind" / "cases"
+from labrun.registry import package_folder
+
+GENERATOR = package_folder("labrun.cases", "sealed")
 
 Done = subprocess.CompletedProcess[str]
 Generate = Callable[..., Done]

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from generating_cases import Done
+from labrun_plugins.cases.bench import Bench
+from labrun_plugins.cases.forms import FORMS
+from labrun_plugins.cases.plants import PLANTS
+from labrun_plugins.cases.robots.hidden import EFFECTS
+from labrun_plugins.cases.simulate import adaptive
+from labrun_plugins.cases.writing import write_model, write_recording
 
-from labrun.blind.cases.bench import Bench
-from labrun.blind.cases.forms import FORMS
-from labrun.blind.cases.plants import PLANTS
-from labrun.blind.cases.robots.hidden import EFFECTS
-from labrun.blind.cases.simulate import adaptive
-from labrun.blind.cases.writing import write_model, write_recording
 from labrun.effects import effects
 from labrun.models import parse_model, simulate
 from labrun.store import read_recording

@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from labrun_plugins.cases.robots import case
+from labrun_plugins.cases.robots.body import draw
+from labrun_plugins.cases.robots.case import make_robot
+from labrun_plugins.cases.robots.hidden import EFFECTS, Joint, draw_shape
 
-from labrun.blind.cases.robots import case
-from labrun.blind.cases.robots.body import draw
-from labrun.blind.cases.robots.case import make_robot
-from labrun.blind.cases.robots.hidden import EFFECTS, Joint, draw_shape
 from labrun.blind.robot_check import _judged
 from labrun.fit import load_dataset
 from labrun.gap import why_not
