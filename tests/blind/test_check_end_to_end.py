@@ -27,19 +27,19 @@ KEPT_S = 12345.0
 
 
 @pytest.fixture(scope="module")
-def told() -> list[str]:
+def progress() -> list[str]:
     return []
 
 
 @pytest.fixture(scope="module")
-def interrupted(tmp_path_factory: pytest.TempPathFactory, told: list[str]) -> Path:
+def interrupted(tmp_path_factory: pytest.TempPathFactory, progress: list[str]) -> Path:
     """A check that Ctrl-C has stopped after its first diagnosis."""
     out = tmp_path_factory.mktemp("check") / "two"
     before = {child.pid for child in multiprocessing.active_children()}
 
     def announce(line: str) -> None:
-        told.append(line)
-        told.append("diagnosed already" if (out / "diagnoses").exists() else "nothing diagnosed yet")
+        progress.append(line)
+        progress.append("diagnosed already" if (out / "diagnoses").exists() else "nothing diagnosed yet")
 
     def interrupting(text: str) -> None:
         if (out / "diagnoses").exists() and "1 of 2" in text:
@@ -90,22 +90,22 @@ def without_seconds(value: Any) -> Any:
     return [without_seconds(item) for item in value] if isinstance(value, list) else value
 
 
-def test_the_seal_is_told_before_anything_is_diagnosed(checked: Checked, told: list[str]) -> None:
-    assert checked.seal in told[0]
-    assert told[1:] == ["nothing diagnosed yet"]
+def test_the_seal_is_told_before_anything_is_diagnosed(checked: Checked, progress: list[str]) -> None:
+    assert checked.seal in progress[0]
+    assert progress[1:] == ["nothing diagnosed yet"]
 
 
 def test_every_case_is_listed_with_what_was_hidden_and_what_was_said(checked: Checked) -> None:
-    found = json.loads((checked.folder / "check.json").read_text())
-    assert [one["case"] for one in found["cases"]] == ["case-0033", "case-0034"]
-    effect, control = found["cases"]
+    check = json.loads((checked.folder / "check.json").read_text())
+    assert [case["case"] for case in check["cases"]] == ["case-0033", "case-0034"]
+    effect, control = check["cases"]
     assert (control["kind"], control["hidden"]) == ("control", [])
     assert effect["hidden"] == [{"effect": "hysteresis", "site": "root"}]
     assert control["answer"]["causes"] == []
     assert effect["answer"]["gap"]
     page = write_check_page(checked).read_text()
     assert "hysteresis at root (static-fin)" in page
-    assert found["figures"]["no_answer"] == {}
+    assert check["figures"]["no_answer"] == {}
 
 
 def test_what_a_screen_says_fits_one_and_names_the_use_of_the_seed(checked: Checked) -> None:

@@ -33,10 +33,10 @@ class Notes(SilentProgress):
     """Keeps what is told."""
 
     def __init__(self):
-        self.told = []
+        self.messages = []
 
     def note(self, text):
-        self.told.append(text)
+        self.messages.append(text)
 
 
 def dry_run(folder, hide, *, overrides=SMALL, progress=None, name="hinge", **more):
@@ -105,7 +105,9 @@ def ids_of(hidden):
         "upper",
         "lower",
     }
-    return ({one.effect for one in hidden} | {name for one in hidden for name in one.values}) - harmless
+    return (
+        {effect.effect for effect in hidden} | {name for effect in hidden for name in effect.values}
+    ) - harmless
 
 
 def test_reveal_tells_what_was_hidden_and_that_nobody_had_looked(copy_of):
@@ -171,10 +173,10 @@ def test_of_what_is_drawn_nothing_is_told_in_the_folder_or_to_the_person(tmp_pat
     run = dry_run(tmp_path, ["random"], progress=progress, hide_seed=2)
     result = reveal(run)
     assert result.hidden
-    text = everything_readable(run) + "\n".join(progress.told).encode()
+    text = everything_readable(run) + "\n".join(progress.messages).encode()
     for word in ids_of(result.hidden):
         assert not re.search(rb"(?<![\w-])" + re.escape(word.encode()) + rb"(?![\w-])", text), word
-    assert any(result.sha256[:16] in line for line in progress.told)
+    assert any(result.sha256[:16] in line for line in progress.messages)
 
 
 @pytest.mark.parametrize("hide", [["none"], ["coulomb-friction@hinge", "bias@angle"]])
@@ -280,7 +282,7 @@ def drawn(tmp_path_factory):
 
 def test_the_same_hide_seed_draws_the_same_and_another_something_else(drawn, tmp_path):
     hidden = reveal(dry_run(tmp_path, ["random"], hide_seed=2)).hidden
-    assert [(one.effect, one.site, one.values) for one in hidden] == [
+    assert [(effect.effect, effect.site, effect.values) for effect in hidden] == [
         (hidden["effect"], hidden["site"], hidden["values"]) for hidden in drawn[2]
     ]
     assert len({json.dumps(drawn_run) for drawn_run in drawn}) > 1

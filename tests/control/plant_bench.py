@@ -81,17 +81,17 @@ class Servos(_Device):
 
     def __init__(self, name, settings, context):
         super().__init__(name, settings, context)
-        self.told = []
+        self.moves = []
 
     def pose(self):
         now_s = self.clock.now()
-        if not self.told:
+        if not self.moves:
             return dict.fromkeys(self.joints, 0.0)
-        start_s, trajectory = self.told[-1]
+        start_s, trajectory = self.moves[-1]
         return dict(zip(trajectory.joints, trajectory.at(now_s - start_s)[0], strict=True))
 
     def follow(self, trajectory, start_s):
-        self.told.append((start_s, trajectory))
+        self.moves.append((start_s, trajectory))
         for joint in self.joints:
             self.scene.drive(joint, trajectory, start_s)
 
@@ -102,7 +102,7 @@ class Servos(_Device):
         from labrun.devices import Trajectory
 
         angles = np.array([[snapshot["pose"][joint] for joint in self.joints]])
-        self.told = [(0.0, Trajectory(self.joints, np.zeros(1), angles))]
+        self.moves = [(0.0, Trajectory(self.joints, np.zeros(1), angles))]
 
 
 class Eye(_Device):

@@ -22,7 +22,7 @@ from labrun.spec import load_experiment, shipped_experiments
 from labrun.store import open_run
 
 
-def found(path: Path, **keys):
+def design_of(path: Path, **keys):
     return design(
         path, dry_run=True, seed=keys.pop("seed", 3), workers=keys.pop("workers", 1), draw=False, **keys
     )
@@ -44,7 +44,7 @@ def generations(result) -> list[dict]:
 
 
 def test_a_design_finds_the_length_that_the_constraints_leave_best(paddle):
-    result = found(paddle())
+    result = design_of(paddle())
     # 30 L s (0.3 - L) with L s <= 0.08 (s in rad): the load is the bound, and the smaller L at it the better, until the
     # stroke is at its end of 60 deg, where L = 0.08 / 1.047
     best = result.best
@@ -56,15 +56,15 @@ def test_a_design_finds_the_length_that_the_constraints_leave_best(paddle):
 
 def test_the_same_seed_gives_the_same_design_whatever_the_number_of_workers(paddle):
     path = paddle(("iterations = 25", "iterations = 3"))
-    alone, beside = found(path), found(path, workers=2)
-    assert generations(alone) == generations(beside)
-    assert alone.best == beside.best
+    alone, parallel = design_of(path), design_of(path, workers=2)
+    assert generations(alone) == generations(parallel)
+    assert alone.best == parallel.best
 
 
 def test_a_stopped_design_goes_on_to_the_same_result_without_simulating_anything_again(paddle, monkeypatch):
     path = paddle(("iterations = 25", "iterations = 6"))
-    whole = found(path)
-    stopped = found(path, limit=30)
+    whole = design_of(path)
+    stopped = design_of(path, limit=30)
     assert not stopped.finished
     assert len(generations(stopped)) == 3  # 12 candidates each; the next would begin with 36 simulated
     from labrun.design.simulator import Simulator
@@ -86,7 +86,7 @@ def test_a_stopped_design_goes_on_to_the_same_result_without_simulating_anything
 def test_candidates_are_ranked_by_how_many_constraints_they_break_and_then_by_how_far(paddle):
     path = paddle(("iterations = 25", "iterations = 8"), ("peak_load < 0.08", "peak_load < 0.03"))
     infeasible, feasible = [], []
-    for state in generations(found(path)):
+    for state in generations(design_of(path)):
         for candidate in state["candidates"]:
             (feasible if candidate["feasible"] else infeasible).append((state["generation"], candidate))
     assert infeasible
@@ -106,7 +106,7 @@ def test_candidates_are_ranked_by_how_many_constraints_they_break_and_then_by_ho
 
 def test_the_best_is_what_copies_within_the_tolerance_do(paddle):
     path = paddle(("tolerance = 0.5", "tolerance = 20"))
-    result = found(path)
+    result = design_of(path)
     with open_run(result.run) as run:
         confirming = [outcome for outcome in run.outcomes if outcome.role == "confirm"]
         assert {tuple(outcome.condition.items()) for outcome in confirming} == {
@@ -124,7 +124,7 @@ def test_the_best_is_what_copies_within_the_tolerance_do(paddle):
 
 @pytest.mark.rendered
 def test_a_design_is_handed_on_as_model_sheet_and_drawing(paddle):
-    result = found(paddle(("iterations = 25", "iterations = 3")))
+    result = design_of(paddle(("iterations = 25", "iterations = 3")))
     length = result.best.parameters["length"]
     model = load_model(result.run / "model.toml")
     assert model.values[0] == pytest.approx(length / 1000)
@@ -154,7 +154,7 @@ def test_a_design_is_refused_on_a_bench(paddle):
 def test_bounds_that_exclude_each_other_are_told_before_anything_is_written(paddle):
     path = paddle(("length + 0.5 * stroke < 220", "length + 0.5 * stroke < 15"))
     with pytest.raises(PlanError, match="nothing of the design space can be built") as raises:
-        found(path)
+        design_of(path)
     assert "100 % break: length + 0.5 * stroke < 15" in str(raises.value)
     assert not Path("results").exists()
 
@@ -164,7 +164,7 @@ def test_a_design_that_cannot_be_simulated_is_told_with_its_reason(paddle):
     with pytest.raises(
         PlanError, match=r"the design cannot be simulated: (.|\n)*x length = .* is outside 0.01"
     ) as raises:
-        found(path)
+        design_of(path)
     assert str(raises.value).count("is outside") == 3  # each is another length
     assert "5 others like these" in str(raises.value)
 
@@ -172,7 +172,7 @@ def test_a_design_that_cannot_be_simulated_is_told_with_its_reason(paddle):
 def test_a_candidate_that_cannot_be_simulated_costs_a_violation_and_ends_nothing(paddle):
     # below 70 mm the parameter is out of the model's bounds
     path = paddle(("length / 1000", "(length - 60) / 1000"), ("iterations = 25", "iterations = 3"))
-    result = found(path)
+    result = design_of(path)
     texts = [text for g in generations(result) for c in g["candidates"] for text in c["violations"]]
     assert any(text.startswith("cannot be simulated: length =") for text in texts)
     assert result.finished
@@ -188,18 +188,18 @@ def test_a_candidate_that_cannot_be_simulated_costs_a_violation_and_ends_nothing
 )  # fmt: skip
 def test_names_that_the_model_does_not_have_are_told_with_the_nearest(paddle, old, new, message):
     with pytest.raises(SpecError, match=message):
-        found(paddle((old, new)))
+        design_of(paddle((old, new)))
 
 
 def test_a_constraint_in_unknown_names_is_told_with_its_place(paddle):
     with pytest.raises(SpecError, match=r'paddle.toml:\d+:\d+: .*unknown name "lenght"'):
-        found(paddle(("length + 0.5", "lenght + 0.5")))
+        design_of(paddle(("length + 0.5", "lenght + 0.5")))
 
 
 def test_devices_and_carriages_have_no_place_in_a_design(paddle):
     path = paddle(("[trial]", '[rig.devices.a]\nplugin = "arduino-servo"\nport = "x"\n[trial]'))
     with pytest.raises(SpecError, match="a design is simulated and has no devices"):
-        found(path)
+        design_of(path)
 
 
 def test_a_bound_of_zero_is_stood_at_by_what_comes_near_it_for_its_range():
@@ -230,20 +230,20 @@ def with_rig(paddle, *changes: tuple[str, str], initial: str) -> Path:
 
 def test_a_rig_that_was_written_twice_says_once_which_design_it_is_of(paddle, tmp_path):
     path = with_rig(paddle, initial="0.7 + 0.1 * f")
-    found(path)
-    result = found(path, seed=4)
+    design_of(path)
+    result = design_of(path, seed=4)
     text = (tmp_path / "rowing.toml").read_text()
     assert text.count("# Written by labrun design") == text.count("# A later design") == 1
     assert str(result.run) in text.splitlines()[0]
 
 
 def test_a_rig_that_would_be_refused_is_kept_with_the_run_and_the_file_in_use_stays(paddle, tmp_path):
-    found(with_rig(paddle, initial="0.7 + 0.1 * f"))
+    design_of(with_rig(paddle, initial="0.7 + 0.1 * f"))
     before = (tmp_path / "rowing.toml").read_text()
     notes = Notes()
     # at the start of the range, which is looked at beforehand, it would do; rowing's own range ends at 1.2
     path = with_rig(paddle, initial="0.7 + 5 * (f - 0.5)")
-    result = found(path, progress=notes)
+    result = design_of(path, progress=notes)
     assert result.finished
     assert (tmp_path / "rowing.toml").read_text() == before
     assert f"({result.run})" in (result.run / "rowing.toml").read_text()
@@ -251,11 +251,11 @@ def test_a_rig_that_would_be_refused_is_kept_with_the_run_and_the_file_in_use_st
         "rowing.toml stays as it is" in line and "is outside 0.6 ... 1.2" in line for line in notes.notes
     )
     assert any(line.startswith("rig") and str(result.run) in line for line in result.more)
-    assert found(path, seed=5).finished  # and the next design has a template to go by
+    assert design_of(path, seed=5).finished  # and the next design has a template to go by
 
 
 def test_show_and_page_of_a_design_tell_what_holds_it_back_and_nothing_of_a_bench(paddle, capsys):
-    result = found(paddle(("iterations = 25", "iterations = 3")))
+    result = design_of(paddle(("iterations = 25", "iterations = 3")))
     with open_run(result.run) as run:
         findings = read_findings(run)
         print_findings(findings)

@@ -112,7 +112,7 @@ def fit(monkeypatch, tmp_path):
     monkeypatch.setattr(module, "is_recording", lambda path: path.name == "recording")
 
     def run(*more, target="towed", **keys):
-        job = FitJob(tmp_path / target, rng(), tuple(tmp_path / one for one in more))
+        job = FitJob(tmp_path / target, rng(), tuple(tmp_path / run for run in more))
         return CrossingFit(CrossingSettings(over="v", **keys))(job)
 
     return run

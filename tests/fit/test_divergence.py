@@ -23,7 +23,7 @@ rate = "free"
 TIME_S = np.arange(0, 4, 0.05)
 
 
-def said(folder, spring: float) -> list[str]:
+def warnings_of(folder, spring: float) -> list[str]:
     rows = [f"{time:.2f},{0.1 * np.cos(3 * time):.5f}" for time in TIME_S]
     (folder / "swing.csv").write_text("\n".join(["time_s,angle", *rows]) + "\n")
     (folder / "recording.toml").write_text(
@@ -36,18 +36,18 @@ def said(folder, spring: float) -> list[str]:
 
 
 def test_a_pole_that_nothing_holds_in_the_simulation_is_said_to_diverge(tmp_path):
-    (sentence,) = said(tmp_path, -9.0)
+    (sentence,) = warnings_of(tmp_path, -9.0)
     assert sentence.startswith("the simulation diverges")
     assert "labrun gap diagnose" in sentence
 
 
 @pytest.mark.parametrize("spring", [9.0, 400.0, 0.0])
 def test_what_swings_or_coasts_does_not_diverge(tmp_path, spring):
-    assert said(tmp_path, spring) == []
+    assert warnings_of(tmp_path, spring) == []
 
 
 def test_a_state_that_no_output_shows_begins_where_it_is_and_not_far_away(tmp_path):
-    said(tmp_path, 9.0)
+    warnings_of(tmp_path, 9.0)
     hidden = (
         MODEL.format(spring=8.0)
         .replace('"rate"]', '"rate", "unseen"]')

@@ -18,7 +18,7 @@ from labrun.models import Model, parse_model, simulate
 FloatArray = NDArray[np.float64]
 
 
-def begun(model: Model, trials: int = 4) -> tuple[Problem, FloatArray]:
+def problem_and_start(model: Model, trials: int = 4) -> tuple[Problem, FloatArray]:
     problem = Problem.of(
         model, driven(np.random.default_rng(1), trials, noise=0.01, scatter=0.05, duration_s=2.0)
     )
@@ -31,7 +31,7 @@ def whole(problem: Problem, z: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize("tolerances", [{}, {"mass": 0.05}, {"stiffness": 0.02}])
 def test_it_ends_where_scipys_trust_region_ends(tolerances: dict[str, float | str]) -> None:
-    problem, z = begun(oscillator(**tolerances))
+    problem, z = problem_and_start(oscillator(**tolerances))
     ours = minimise(problem, z)
     theirs = least_squares(lambda x: whole(problem, x), z, x_scale="jac", ftol=1e-12, xtol=1e-12)
     np.testing.assert_allclose(ours, theirs.x, rtol=1e-4, atol=1e-6)
@@ -39,7 +39,7 @@ def test_it_ends_where_scipys_trust_region_ends(tolerances: dict[str, float | st
 
 
 def test_a_bound_holds_where_scipys_holds() -> None:
-    problem, z = begun(oscillator())
+    problem, z = problem_and_start(oscillator())
     upper = np.array([35.0, np.inf]) / problem.priors.scale
     ours = minimise(problem, z, upper=upper)
     limits = np.concatenate([upper, np.full(len(z) - 2, np.inf)])
@@ -94,7 +94,7 @@ def test_it_goes_on_where_bounds_cut_a_step_of_parameters_that_stand_in_for_each
 
 
 def test_the_eliminated_step_is_the_step_of_the_whole_system() -> None:
-    problem, z = begun(oscillator(mass=0.1))
+    problem, z = problem_and_start(oscillator(mass=0.1))
     blocks = problem.jacobian(z)
     equations = NormalEquations.of(problem, z, blocks)
     rows = [len(part) for part in blocks.residual]
@@ -117,7 +117,7 @@ def test_the_eliminated_step_is_the_step_of_the_whole_system() -> None:
 
 
 def test_a_parameter_without_room_stays_where_it_is() -> None:
-    problem, z = begun(oscillator(), trials=2)
+    problem, z = problem_and_start(oscillator(), trials=2)
     equations = NormalEquations.of(problem, z, problem.jacobian(z))
     room = np.array([0.0, -np.inf]), np.array([0.0, np.inf])
     assert equations.step(1e-3 * equations.diagonal, room)[0] == 0.0
@@ -127,13 +127,13 @@ def test_a_parameter_without_room_stays_where_it_is() -> None:
 def test_derivatives_carried_on_from_step_to_step_lead_to_the_same_end(
     tolerances: dict[str, float | str],
 ) -> None:
-    problem, z = begun(oscillator(**tolerances))
+    problem, z = problem_and_start(oscillator(**tolerances))
     plain, carried = minimise(problem, z), minimise(problem, z, secant=True)
     np.testing.assert_allclose(carried, plain, rtol=1e-6, atol=1e-8)
 
 
 def test_derivatives_known_from_nearby_save_most_of_the_simulations() -> None:
-    problem, z = begun(oscillator())
+    problem, z = problem_and_start(oscillator())
     end = minimise(problem, z)
     near = end * (1.0 + 0.01 * np.sign(end))
     known = problem.jacobian(end)
@@ -147,7 +147,7 @@ def test_derivatives_known_from_nearby_save_most_of_the_simulations() -> None:
 
 
 def test_derivatives_that_mislead_are_taken_anew() -> None:
-    problem, z = begun(oscillator())
+    problem, z = problem_and_start(oscillator())
     wrong = problem.jacobian(z)
     backwards = [-derivatives for derivatives in wrong.shared], [-derivatives for derivatives in wrong.own]
     misled = minimise(problem, z, derivatives=replace(wrong, shared=backwards[0], own=backwards[1]))
@@ -155,7 +155,7 @@ def test_derivatives_that_mislead_are_taken_anew() -> None:
 
 
 def test_variables_that_do_not_move_are_not_differentiated() -> None:
-    problem, z = begun(oscillator(), trials=2)
+    problem, z = problem_and_start(oscillator(), trials=2)
     blocks = problem.jacobian(z, moving=np.array([False, True]))
     every = problem.jacobian(z)
     for shared, whole_block in zip(blocks.shared, every.shared, strict=True):
@@ -164,7 +164,7 @@ def test_variables_that_do_not_move_are_not_differentiated() -> None:
 
 
 def test_a_descent_ends_where_it_would_take_derivatives_more_often_than_it_may() -> None:
-    problem, z = begun(oscillator())
+    problem, z = problem_and_start(oscillator())
     right = problem.jacobian(z)
     backwards = replace(
         right,
@@ -185,7 +185,7 @@ class RoughProblem(Problem):
 
 
 def test_a_descent_on_rough_ground_ends_where_no_step_promises_what_counts() -> None:
-    smooth, z = begun(oscillator())
+    smooth, z = problem_and_start(oscillator())
     near = minimise(smooth, z) * 1.01
     rough = RoughProblem.of(smooth.model, smooth.data)
     residual = rough.residuals(near)
@@ -205,7 +205,7 @@ def test_a_descent_on_rough_ground_ends_where_no_step_promises_what_counts() -> 
 
 
 def test_trials_simulated_side_by_side_give_the_same_to_the_last_bit() -> None:
-    problem, z = begun(oscillator())
+    problem, z = problem_and_start(oscillator())
     with workers(3) as each:
         together = replace(problem, each=each)
         np.testing.assert_array_equal(minimise(together, z), minimise(problem, z))

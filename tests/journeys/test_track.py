@@ -18,7 +18,7 @@ ALL_P = ("P-100", "P-109", "P-120")
     scope="module",
     params=[pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3)],
 )
-def found(request, tmp_path_factory):
+def errors(request, tmp_path_factory):
     """Return every accepted value of each objective by controller, of one whole dry run."""
     from labrun.app.run import run as execute
     from labrun.spec import load_experiment, shipped_experiments
@@ -46,33 +46,33 @@ def below(smaller, larger, factor=1.0):
     return difference.confidence_interval(0.95).high < 0
 
 
-def test_p_leaves_a_large_error_at_all_gains(found):
+def test_p_leaves_a_large_error_at_all_gains(errors):
     """Loop gain 1, so about half of the reference; its mean is 0.35 N."""
     for controller in ALL_P:
-        assert low(found["first_cycle"][controller]) > 0.12
-        assert low(found["later"][controller]) > 0.12
-        assert low(found["bias"][controller]) > 0.12
+        assert low(errors["first_cycle"][controller]) > 0.12
+        assert low(errors["later"][controller]) > 0.12
+        assert low(errors["bias"][controller]) > 0.12
 
 
-def test_pi_misses_the_first_cycle_and_follows_afterwards(found):
-    assert below(found["first_cycle"]["FF-PI"], found["first_cycle"]["PI"], 0.6)
-    assert below(found["later"]["PI"], found["first_cycle"]["PI"], 0.7)
-    assert all(below(found["later"]["PI"], found["later"][name], 0.6) for name in ALL_P)
+def test_pi_misses_the_first_cycle_and_follows_afterwards(errors):
+    assert below(errors["first_cycle"]["FF-PI"], errors["first_cycle"]["PI"], 0.6)
+    assert below(errors["later"]["PI"], errors["first_cycle"]["PI"], 0.7)
+    assert all(below(errors["later"]["PI"], errors["later"][name], 0.6) for name in ALL_P)
 
 
-def test_ff_p_is_acceptable_and_slightly_low(found):
-    assert low(found["bias"]["FF-P"]) > 0.02
+def test_ff_p_is_acceptable_and_slightly_low(errors):
+    assert low(errors["bias"]["FF-P"]) > 0.02
     for cycle in ("first_cycle", "later"):
-        assert all(below(found[cycle]["FF-P"], found[cycle][name], 0.5) for name in ALL_P)
+        assert all(below(errors[cycle]["FF-P"], errors[cycle][name], 0.5) for name in ALL_P)
 
 
-def test_ff_pi_follows_from_the_first_cycle_and_is_the_best(found):
-    others = [name for name in found["later"] if name != "FF-PI"]
+def test_ff_pi_follows_from_the_first_cycle_and_is_the_best(errors):
+    others = [name for name in errors["later"] if name != "FF-PI"]
     for cycle in ("first_cycle", "later"):
-        means = {name: np.mean(found[cycle][name]) for name in found[cycle]}
+        means = {name: np.mean(errors[cycle][name]) for name in errors[cycle]}
         assert min(means, key=means.get) == "FF-PI"
-    assert all(below(found["later"]["FF-PI"], found["later"][name]) for name in others)
-    assert below(found["bias"]["FF-PI"], found["bias"]["FF-P"])
+    assert all(below(errors["later"]["FF-PI"], errors["later"][name]) for name in others)
+    assert below(errors["bias"]["FF-PI"], errors["bias"]["FF-P"])
 
 
 def test_track_runs_shows_exports_and_draws_its_loops(labrun, tmp_path):
@@ -98,11 +98,11 @@ def test_a_track_that_was_stopped_goes_on_to_the_same_samples(labrun, tmp_path):
         assert resumed.code == 0, resumed.err
     with open_run(tmp_path / whole["run"]) as first, open_run(tmp_path / parted["run"]) as second:
         assert len(first.outcomes) == len(second.outcomes) == 6
-        for one, other in zip(first.outcomes, second.outcomes, strict=True):
-            assert one.condition == other.condition
-            assert one.objectives == other.objectives
+        for trial, resumed_trial in zip(first.outcomes, second.outcomes, strict=True):
+            assert trial.condition == resumed_trial.condition
+            assert trial.objectives == resumed_trial.objectives
             np.testing.assert_array_equal(
-                first.signals(one.index)["loop"].values, second.signals(one.index)["loop"].values
+                first.signals(trial.index)["loop"].values, second.signals(trial.index)["loop"].values
             )
 
 
@@ -130,9 +130,9 @@ def test_each_command_sends_to_the_one_that_fits(labrun):
     wrong = labrun("track", "hinge", "--dry-run")
     assert wrong.code == 2
     assert "labrun run hinge" in wrong.err
-    other = labrun("sweep", "force-control", "--dry-run")
-    assert other.code == 2
-    assert "labrun track force-control" in other.err
+    again = labrun("sweep", "force-control", "--dry-run")
+    assert again.code == 2
+    assert "labrun track force-control" in again.err
 
 
 def test_a_fitted_model_file_beside_the_experiment_is_used_and_stored(labrun, tmp_path):

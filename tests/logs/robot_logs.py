@@ -117,7 +117,7 @@ def write_bag(path, time_s, goals, angles, *, storage="mcap", clock_s=0.0, named
             velocity=np.array([]), effort=np.array([]),
         )  # fmt: skip
 
-    def told(row):
+    def goal_message(row):
         goal = np.array(goals[row], dtype=float)
         if named_goals:
             return types["sensor_msgs/msg/JointState"](
@@ -141,7 +141,7 @@ def write_bag(path, time_s, goals, angles, *, storage="mcap", clock_s=0.0, named
         goal = writer.add_connection("/goal_command", goal_type, typestore=store)
         for row, when_s in enumerate(time_s):
             received = zero + round(when_s * 1e9) + 2_000_000
-            writer.write(goal, received - 5_000_000, serialize(told(row), goal_type))
+            writer.write(goal, received - 5_000_000, serialize(goal_message(row), goal_type))
             writer.write(state, received, serialize(states(row), "sensor_msgs/msg/JointState"))
     return path
 

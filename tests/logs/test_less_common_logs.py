@@ -115,8 +115,8 @@ def test_a_table_with_semicolons_and_decimal_commas_is_the_same_table(tmp_path, 
     first = logs.write_csv(tmp_path / "a.csv", *made)
     second = tmp_path / "b.csv"
     second.write_text(first.read_text().replace(",", ";").replace(".", ","))
-    one, two = (import_log(path, arm, tmp_path / path.stem) for path in (first, second))
-    assert (one.folder / "001.csv").read_text() == (two.folder / "001.csv").read_text()
+    first_made, second_made = (import_log(path, arm, tmp_path / path.stem) for path in (first, second))
+    assert (first_made.folder / "001.csv").read_text() == (second_made.folder / "001.csv").read_text()
 
 
 def test_nameless_goals_are_mapped_by_joint_and_all_proposals_can_be_copied(tmp_path, arm):
@@ -216,7 +216,7 @@ def test_the_only_goal_and_angle_of_a_log_are_proposed_for_the_only_joint(tmp_pa
 
 def test_ticks_of_another_encoder_are_counted_as_said(tmp_path, arm):
     time_s, goals, angles = logs.motion()
-    counts = [np.round(one * 16384 / (2 * np.pi) + 8192) for one in (goals, angles)]
+    counts = [np.round(angle * 16384 / (2 * np.pi) + 8192) for angle in (goals, angles)]
     log = logs.write_csv(tmp_path / "log.csv", time_s, *counts)
     with pytest.raises(RequestError, match=r"more than 4096 ticks of a turn(.|\n)*ticks:16384"):
         import_log(log, arm, tmp_path / "recording")

@@ -121,7 +121,7 @@ def test_ticks_with_a_stated_zero_are_counted_from_it(tmp_path):
     arm = tmp_path / "arm.xml"
     arm.write_text(logs.ARM)
     time_s, goals, angles = logs.motion()
-    counts = [np.round(one * 4096 / (2 * np.pi) + [1000, 2048]) for one in (goals, angles)]
+    counts = [np.round(angle * 4096 / (2 * np.pi) + [1000, 2048]) for angle in (goals, angles)]
     log = logs.write_csv(tmp_path / "log.csv", time_s, *counts)
     result = import_log(log, arm, tmp_path / "recording", answers=LogAnswers(zeros=["shoulder=1000"]))
     outputs = np.concatenate([trial.outputs for trial in read_recording(result.folder).trials])

@@ -226,9 +226,9 @@ def test_a_force_at_a_joint_is_felt_there(six_bar):
 
 
 def mass_matrix(model, state):
-    from labrun.models.chains.starting import mass_matrix as found
+    from labrun.models.chains import starting
 
-    return found(model.tree, model.numbers(), state[:6])
+    return starting.mass_matrix(model.tree, model.numbers(), state[:6])
 
 
 def test_friction_at_a_hinge_takes_energy_out(parallelogram):

@@ -52,7 +52,7 @@ def test_actuators_with_swapped_names_are_called_after_what_they_drive(tmp_path)
         '<position name="elbow" joint="shoulder" kp="9"/><position name="shoulder" joint="elbow" kp="4"/>'
     )
     robot = robot_of(tmp_path, TWO.format(tendon="", actuators=actuators))
-    assert [(one.input, one.joint) for one in robot.actuators] == [
+    assert [(actuator.input, actuator.joint) for actuator in robot.actuators] == [
         ("shoulder_command", "shoulder"),
         ("elbow_command", "elbow"),
     ]

@@ -13,10 +13,10 @@ def finished(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def begun(tmp_path_factory) -> Path:
+def unfinished(tmp_path_factory) -> Path:
     """A sweep whose title is markup, stopped after its first trials."""
     title = 'title="<script>alert(1)</script>"'
-    return measure(tmp_path_factory.mktemp("begun"), overrides=(*SMALL, title), limit=4)
+    return measure(tmp_path_factory.mktemp("unfinished"), overrides=(*SMALL, title), limit=4)
 
 
 @pytest.fixture(scope="session")

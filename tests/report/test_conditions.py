@@ -45,7 +45,7 @@ def test_a_page_has_a_column_of_errors_only_where_something_was_repeated(repeats
     view = sweep_view(lambda c: c["f"], {"f": [1, 2, 3]}, repeats=repeats)
     thrust = view.experiment.objectives["thrust"].model_copy(update={"goal": None})
     experiment = view.experiment.model_copy(update={"objectives": {"thrust": thrust}})
-    view.run.outcomes[:] = [one for one in view.run.outcomes if one.role == "measure"]
+    view.run.outcomes[:] = [outcome for outcome in view.run.outcomes if outcome.role == "measure"]
     table = conditions_context(replace(view, experiment=experiment))["every"]["table"]
     assert ("standard error" in table.columns) == (repeats > 1)
     assert all(len(row) == len(table.columns) for row in table.rows)
@@ -64,14 +64,14 @@ def test_a_value_without_dimension_has_no_unit_over_its_panel():
 
 def test_show_tells_which_controller_has_which_error(tracked):
     with open_run(tracked) as run:
-        found = read_findings(run)
+        findings = read_findings(run)
         console = Console(file=io.StringIO(), width=80)
-        print_findings(found, console)
-        rows = json.loads(json.dumps(found.to_json()))["conditions"]
+        print_findings(findings, console)
+        rows = json.loads(json.dumps(findings.to_json()))["conditions"]
     text = console.file.getvalue()
     for objective in ("first_cycle (N)", "later (N)", "bias (N)"):
         assert objective in text
-    assert len(rows) == len(found.conditions)
+    assert len(rows) == len(findings.conditions)
     for row in rows:
         line = next(
             line for line in text.splitlines() if line.startswith(f" {row['condition']['controller']} ")
@@ -93,7 +93,8 @@ def test_a_narrow_terminal_shows_means_that_are_not_cut():
     view = sweep_view(lambda c: 0.1234 * c["f"], {"f": [1, 2]})
     units = dict.fromkeys(names, "N m")
     results = [
-        replace(one, points=dict.fromkeys(names, one.points["thrust"])) for one in condition_results(view)
+        replace(result, points=dict.fromkeys(names, result.points["thrust"]))
+        for result in condition_results(view)
     ]
     console = Console(file=io.StringIO(), width=80)
     print_conditions(

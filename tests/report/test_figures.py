@@ -61,8 +61,12 @@ def test_trials_share_an_axis_of_time_unless_one_is_much_longer_which_is_drawn_o
     view = sweep_view(ridge, {"f": [1, 2]}, kind="run")
     periods_s = {1: 1.0, 2: slow_s}
     view.run.outcomes = [
-        replace(one, duration_s=3 * periods_s[one.condition["f"]], period_s=periods_s[one.condition["f"]])
-        for one in view.run.outcomes
+        replace(
+            outcome,
+            duration_s=3 * periods_s[outcome.condition["f"]],
+            period_s=periods_s[outcome.condition["f"]],
+        )
+        for outcome in view.run.outcomes
     ]
     panels = draw_plain_run(RunView(view.run, view.experiment, None)).subfigs[0].axes
     ends = [max(line.get_xdata()[-1] for line in axes.lines[:3]) for axes in panels]
@@ -174,8 +178,8 @@ def test_a_channel_that_goes_on_from_cycle_to_cycle_has_no_mean_cycle(speed, tra
 @pytest.mark.parametrize(("lift", "colours"), [(0.0, DIVERGING), (5.0, SEQUENTIAL), (-5.0, SEQUENTIAL)])
 def test_only_an_objective_of_both_signs_has_colours_on_either_side_of_zero(lift, colours):
     view = sweep_view(lambda c: c["f"] - 5 + lift, {"f": GRID, "a": GRID}, noise=0.0, repeats=1)
-    found, scale = map_colours(view.points("thrust"))
-    assert found == colours
+    chosen, scale = map_colours(view.points("thrust"))
+    assert chosen == colours
     assert (scale.vmin, scale.vmax) == ((-5.0, 5.0) if colours == DIVERGING else (lift - 5, lift + 5))
 
 

@@ -45,8 +45,8 @@ def with_references(slope_per_h, noise, seed, count=30):
 def test_the_interval_of_the_drift_covers_the_truth_95_percent_of_the_time():
     covered = 0
     for seed in range(400):
-        (found,) = drift(with_references(0.02, 0.05, seed))
-        covered += found.ci95[0] <= 0.02 <= found.ci95[1]
+        (fitted,) = drift(with_references(0.02, 0.05, seed))
+        covered += fitted.ci95[0] <= 0.02 <= fitted.ci95[1]
     assert covered / 400 == pytest.approx(0.95, abs=0.045)
 
 
@@ -61,10 +61,10 @@ def test_two_references_are_too_few_to_speak_of_drift():
 
 def test_repeatability_is_the_spread_within_conditions_whatever_lies_between_them():
     view = sweep_view(lambda c: 10 * c["f"], {"f": list(range(40))}, noise=0.05, repeats=5)
-    (found,) = repeatability(view)
-    assert found.sd == pytest.approx(0.05, rel=0.15)
-    assert found.between_sd == pytest.approx(10 * np.std(np.arange(40), ddof=1), rel=0.05)
-    assert found.unit == "N"
+    (repeats,) = repeatability(view)
+    assert repeats.sd == pytest.approx(0.05, rel=0.15)
+    assert repeats.between_sd == pytest.approx(10 * np.std(np.arange(40), ddof=1), rel=0.05)
+    assert repeats.unit == "N"
 
 
 def test_without_repeats_nothing_is_said_of_repeatability():
@@ -76,22 +76,22 @@ def test_without_repeats_nothing_is_said_of_repeatability():
 def test_streams_are_reported_with_rate_jitter_and_losses():
     view = sweep_view(lambda c: 0.0, {"f": [1, 2]}, repeats=1)
     run = MemoryRun(view.run.outcomes, lost=3)
-    (found,) = stream_health(RunView(run, view.experiment, None), [0, 1])
-    assert found.device == "wrench"
-    assert found.actual_hz == pytest.approx(100.0)
-    assert found.jitter_s == pytest.approx(0.0, abs=1e-9)
-    assert found.lost == 6
-    assert found.lost_share == pytest.approx(6 / (found.samples + 6))
-    assert (found.clock_offset_s, found.clock_drift_ppm) == (0.0, None)
+    (health,) = stream_health(RunView(run, view.experiment, None), [0, 1])
+    assert health.device == "wrench"
+    assert health.actual_hz == pytest.approx(100.0)
+    assert health.jitter_s == pytest.approx(0.0, abs=1e-9)
+    assert health.lost == 6
+    assert health.lost_share == pytest.approx(6 / (health.samples + 6))
+    assert (health.clock_offset_s, health.clock_drift_ppm) == (0.0, None)
 
 
 def test_a_clock_is_reported_with_its_offset_and_the_drift_from_trial_to_trial():
     view = sweep_view(lambda c: 0.0, {"f": [1, 2]}, repeats=3)
 
-    (found,) = stream_health(RunView(OwnClock(view.run.outcomes), view.experiment, None), range(6))
-    assert found.clock_offset_s == pytest.approx(-12.0, abs=0.02)
-    assert found.clock_drift_ppm == pytest.approx(50, abs=1)
-    assert found.glitches == 0
+    (health,) = stream_health(RunView(OwnClock(view.run.outcomes), view.experiment, None), range(6))
+    assert health.clock_offset_s == pytest.approx(-12.0, abs=0.02)
+    assert health.clock_drift_ppm == pytest.approx(50, abs=1)
+    assert health.glitches == 0
 
 
 def test_a_stored_run_is_read_where_its_plugins_are_not_installed(tmp_path):
@@ -105,16 +105,16 @@ def test_a_stored_run_is_read_where_its_plugins_are_not_installed(tmp_path):
         folder.writer(index).finish(
             TrialOutcome(index, {"f": 1.0}, index, objectives={"thrust": 1.0 + index}), None, None
         )
-    found = read_findings(open_run(folder.path))
-    assert found.repeatability[0].sd == pytest.approx(1.0)
-    assert found.repeatability[0].unit == ""
+    findings = read_findings(open_run(folder.path))
+    assert findings.repeatability[0].sd == pytest.approx(1.0)
+    assert findings.repeatability[0].unit == ""
     with pytest.raises(SpecError, match="gone"):
         loads_experiment(text, "fin")
 
 
-def printed(found, width=120):
+def printed(findings, width=120):
     console = Console(file=io.StringIO(), width=width)
-    print_findings(found, console)
+    print_findings(findings, console)
     return console.file.getvalue()
 
 
@@ -122,8 +122,8 @@ def test_findings_print_everything_one_asks_of_a_run():
     view = with_references(0.1, 0.01, 1)
     rejected = [replace(view.run.outcomes[0], index=30, role="measure", status="rejected", reason="outlier")]
     swept = sweep_view(lambda c: c["f"], {"f": [1, 2]})
-    found = replace(swept, run=MemoryRun([*view.run.outcomes, *rejected, *swept.run.outcomes]))
-    text = printed(found)
+    findings = replace(swept, run=MemoryRun([*view.run.outcomes, *rejected, *swept.run.outcomes]))
+    text = printed(findings)
     for expected in ("Thrust", "95 % interval", "luckiest", "rejected: outlier", "drifts", "quiet", "wrench"):
         assert expected in text
 

@@ -46,8 +46,8 @@ def test_every_page_draws_its_pictures_and_loads_nothing(name):
 def test_the_sentence_is_the_title_and_what_next_is_told(name, pages):
     diagnosis, words = examples.ALL[name](), words_of(pages[name])
     assert f"<h1>{diagnosis.sentence}" in pages[name].replace("&#39;", "'")
-    for told in (*diagnosis.limitations, *diagnosis.what_next, *diagnosis.notes):
-        assert told in words
+    for text in (*diagnosis.limitations, *diagnosis.what_next, *diagnosis.notes):
+        assert text in words
 
 
 def test_a_page_is_read_from_the_top_down(pages):
@@ -71,14 +71,14 @@ def head_of(page):
 
 def test_the_head_tells_cause_size_share_and_how_often_it_wins(pages):
     head = head_of(pages["explained"])
-    for told in (
+    for text in (
         "96 %",
         "4.2 → 0.62",
         "closes 85 % of the gap",
         "90 % interval 94 % to 99 %",
         "mN m (95 % interval)",
     ):
-        assert told in head
+        assert text in head
 
 
 def test_rivals_of_a_cause_stand_in_the_head_and_in_the_table(pages):
@@ -93,8 +93,8 @@ def test_a_size_is_told_with_what_it_refers_to(pages):
 
 def test_the_ladder_is_a_table_of_the_error_of_each_model_in_the_outputs_unit(pages):
     table = words_of(pages["explained"].split('<section id="ladder">')[1].split("</table>")[0])
-    for told in ("angle (rad)", "as stated 0.0364 9.1", "recalibrated 0.0168 4.2", "0.00248 0.62 85 %"):
-        assert told in table
+    for text in ("angle (rad)", "as stated 0.0364 9.1", "recalibrated 0.0168 4.2", "0.00248 0.62 85 %"):
+        assert text in table
 
 
 def test_the_rest_has_a_section_of_its_own(pages):
@@ -151,7 +151,7 @@ def test_a_dollar_in_a_name_is_no_formula():
     diagnosis = replace(
         diagnosis,
         name=odd,
-        where=tuple(replace(place, text=odd) for place in diagnosis.where),
+        where=tuple(replace(location, text=odd) for location in diagnosis.where),
         traces=tuple(replace(trace, label=odd) for trace in diagnosis.traces),
         channels=((odd, odd),),
         noise={odd: 0.05},
@@ -198,8 +198,8 @@ def test_differences_of_any_size_in_noise_are_drawn(noise, size):
 @pytest.mark.rendered
 def test_a_floor_of_next_to_nothing_stays_in_the_picture():
     """Far to the left of a logarithmic axis it left no room for anything else."""
-    found = replace(examples.explained(), gap=Sizes(62.0, 30.0, 1.2, 7e-9))
-    figure = diagnosis_figure(found)
+    diagnosis = replace(examples.explained(), gap=Sizes(62.0, 30.0, 1.2, 7e-9))
+    figure = diagnosis_figure(diagnosis)
     figure.draw_without_rendering()
     for axes in figure.axes:
         assert axes.get_window_extent().width > 100

@@ -60,6 +60,6 @@ def test_a_picture_that_cannot_be_drawn_costs_only_itself():
     def fails():
         raise ValueError("<b>no axes")
 
-    found = drawn(fails, "result", "the result")
-    assert "could not be drawn: ValueError: &lt;b&gt;no axes" in part("drawing", found)
+    drawing = drawn(fails, "result", "the result")
+    assert "could not be drawn: ValueError: &lt;b&gt;no axes" in part("drawing", drawing)
     assert drawn(lambda: None, "result", "the result") is None

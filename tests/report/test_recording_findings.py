@@ -49,20 +49,20 @@ def shown(run):
 def test_an_imported_recording_is_shown_with_channels_trials_and_origin(recording, tmp_path):
     run_folder = import_recording(recording, tmp_path / "results")
     with open_target("swing", tmp_path / "results") as run:
-        found = json.loads(json.dumps(read_findings(run).to_json(), allow_nan=False))
+        findings = json.loads(json.dumps(read_findings(run).to_json(), allow_nan=False))
         text = shown(run)
-    assert found["kind"] == "recording"
-    assert found["run"] == str(run_folder)
-    assert found["imported_from"] == str(recording)
-    assert found["channels"] == [
+    assert findings["kind"] == "recording"
+    assert findings["run"] == str(run_folder)
+    assert findings["imported_from"] == str(recording)
+    assert findings["channels"] == [
         {"name": "torque", "kind": "input", "unit": "N m", "rate_hz": pytest.approx(10)},
         {"name": "angle", "kind": "output", "unit": "rad", "rate_hz": pytest.approx(10)},
     ]
-    assert [(item["condition"], item["trials"]) for item in found["conditions"]] == [
+    assert [(item["condition"], item["trials"]) for item in findings["conditions"]] == [
         ({"release": 20}, 2),
         ({"release": 40}, 1),
     ]
-    assert found["duration_s"] == pytest.approx(4)
+    assert findings["duration_s"] == pytest.approx(4)
     for expected in ("angle", "output", "rad", "10 Hz", "release = 20", "1 to 2 s", str(recording)):
         assert expected in text
 
@@ -89,13 +89,13 @@ def test_a_recording_folder_is_shown_as_it_would_be_imported_and_nothing_stays(
     monkeypatch.setattr(tempfile, "tempdir", str(scratch))
     before = sorted(tmp_path.rglob("*"))
     with open_target(str(recording), tmp_path / "results") as run:
-        found = read_findings(run).to_json()
+        findings = read_findings(run).to_json()
         assert "angle" in shown(run)
     assert sorted(tmp_path.rglob("*")) == before
-    assert found["run"] == found["imported_from"] == str(recording)
+    assert findings["run"] == findings["imported_from"] == str(recording)
     import_recording(recording, tmp_path / "results")
     with open_target("swing", tmp_path / "results") as run:
-        assert read_findings(run).to_json() == {**found, "run": str(run.path)}
+        assert read_findings(run).to_json() == {**findings, "run": str(run.path)}
 
 
 def test_a_recording_folder_is_exported_to_the_current_directory_and_left_as_it_is(

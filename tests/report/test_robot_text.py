@@ -18,15 +18,15 @@ def robot_with_a_load():
         JointDiagnosis(RobotJoint(name, name, "rad", None), answer, 0.1, 0.1, 0.01)
         for name in ("shoulder", "elbow")
     )
-    place = {"mass": 0.3, "x": 0.01, "y": 0.0, "z": 0.2}
-    whole = (("payload", ("shoulder", "elbow"), place),)
+    inertia = {"mass": 0.3, "x": 0.01, "y": 0.0, "z": 0.2}
+    whole = (("payload", ("shoulder", "elbow"), inertia),)
     return RobotDiagnosis("arm", "arm", "recordings/arm", joints, whole, (), {}, (), 1.0)
 
 
 def test_a_load_is_told_with_the_joints_that_tell_it_its_unit_and_its_place():
     lines = robot_lines(robot_with_a_load())
     assert "payload, told by shoulder: mass 0.310 [0.280, 0.340] kg" in [
-        one.replace("\u00a0", " ") for one in lines
+        line.replace("\u00a0", " ") for line in lines
     ]
     assert (
         "payload of the whole robot: mass 0.3 kg, x 0.01 m, y 0 m, z 0.2 m, in the frame of the last body"

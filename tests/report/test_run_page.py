@@ -39,8 +39,8 @@ def page(finished, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def begun_page(begun, tmp_path_factory):
-    return page_of(begun, tmp_path_factory.mktemp("page") / "report.html")
+def unfinished_page(unfinished, tmp_path_factory):
+    return page_of(unfinished, tmp_path_factory.mktemp("page") / "report.html")
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +81,9 @@ def words_of(text):
 @pytest.mark.parametrize("left", ['{"trials": ', "{}", "[]", '{"trials": 3, "figure": null, "best": null}'])
 def test_a_damaged_result_is_told_with_the_way_to_write_it_anew(copy, left):
     (copy / "result.json").write_text(left)
-    with pytest.raises(RecordingError, match=r"result\.json is damaged") as told:
+    with pytest.raises(RecordingError, match=r"result\.json is damaged") as refusal:
         page_of(copy)
-    assert "labrun resume" in told.value.hint
+    assert "labrun resume" in refusal.value.hint
 
 
 def test_a_report_tells_the_honest_best_with_its_interval_and_the_luckiest_beside_it(finished, page):
@@ -137,17 +137,17 @@ def test_a_packed_file_alone_tells_the_same_best(finished, tmp_path):
     alone = tmp_path / "kept.h5"
     shutil.copy(finished / "run.h5", alone)
     with open_run(alone) as run:
-        found = read_findings(run)
-        written = write_report(found)
+        findings = read_findings(run)
+        written = write_report(findings)
     assert written == tmp_path / "kept-report.html"
-    assert found.best == stored_result(finished).best
+    assert findings.best == stored_result(finished).best
     assert "not finished" not in written.read_text(encoding="utf-8")
 
 
-def test_an_unfinished_run_says_so_and_how_to_go_on(begun, begun_page):
-    words = words_of(begun_page)
+def test_an_unfinished_run_says_so_and_how_to_go_on(unfinished, unfinished_page):
+    words = words_of(unfinished_page)
     assert "This run is not finished: what follows is the state after 4 trials" in words
-    assert f"labrun resume {begun}" in words
+    assert f"labrun resume {unfinished}" in words
     assert "No best can be named yet" in words
 
 
@@ -157,15 +157,15 @@ def test_rejected_trials_are_listed_with_their_reasons(annotated):
     assert "<b>wave" not in annotated
 
 
-def test_names_from_the_file_stay_text(begun_page):
-    assert begun_page.count("<script") == 1
-    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in begun_page
+def test_names_from_the_file_stay_text(unfinished_page):
+    assert unfinished_page.count("<script") == 1
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in unfinished_page
 
 
 def test_a_fit_in_the_run_s_folder_is_shown_with_intervals_and_warnings(annotated):
     words = words_of(annotated)
-    for said in ("0.0089 to 0.0129", "not known", "the data say little", "condition number 41.5", "0.00625"):
-        assert said in words
+    for text in ("0.0089 to 0.0129", "not known", "the data say little", "condition number 41.5", "0.00625"):
+        assert text in words
 
 
 def test_a_damaged_fit_does_not_cost_the_report(annotated):
@@ -208,15 +208,15 @@ def test_a_recording_of_several_trials_has_a_report_that_tells_no_clock(tmp_path
         rows = "\n".join(f"{0.01 * k:.2f},{(trial + 1) * (-0.9) ** k:.5f}" for k in range(50))
         (folder / f"{trial}.csv").write_text(f"time_s,angle\n{rows}\n")
     with open_run(folder) as run:
-        found = read_findings(run)
-        (stream,) = stream_health(found, range(3))
-        words = words_of(write_report(found, tmp_path / "swing.html").read_text(encoding="utf-8"))
+        findings = read_findings(run)
+        (stream,) = stream_health(findings, range(3))
+        words = words_of(write_report(findings, tmp_path / "swing.html").read_text(encoding="utf-8"))
     assert "3 trials at 3 conditions" in words
     assert (stream.clock_offset_s, stream.clock_drift_ppm) == (None, None)
 
 
 def test_every_published_recording_has_a_report(recordings, tmp_path):
-    for folder in sorted(one.parent for one in recordings.glob("*/recording.toml")):
+    for folder in sorted(recording.parent for recording in recordings.glob("*/recording.toml")):
         assert "</html>" in page_of(folder, tmp_path / f"{folder.name}.html")
 
 
@@ -252,8 +252,8 @@ def gap_of(text):
     return text.partition('<section id="gap">')[2].partition("</section>")[0]
 
 
-def test_a_run_without_a_diagnosis_has_no_such_section(begun_page):
-    assert gap_of(begun_page) == ""
+def test_a_run_without_a_diagnosis_has_no_such_section(unfinished_page):
+    assert gap_of(unfinished_page) == ""
 
 
 def test_the_verdict_stands_in_the_report_with_a_link_to_the_whole(annotated):
@@ -262,16 +262,16 @@ def test_the_verdict_stands_in_the_report_with_a_link_to_the_whole(annotated):
     assert examples.explained().sentence.split(":")[0] in text
 
 
-def test_a_diagnosis_without_a_page_is_told_without_a_link(begun, tmp_path):
-    copy = shutil.copytree(begun, tmp_path / begun.name)
+def test_a_diagnosis_without_a_page_is_told_without_a_link(unfinished, tmp_path):
+    copy = shutil.copytree(unfinished, tmp_path / unfinished.name)
     store(examples.no_gap(), copy / "gap", page=False)
     text = gap_of(page_of(copy))
     assert "href" not in text
     assert examples.no_gap().sentence.split(":")[0] in text
 
 
-def test_a_damaged_diagnosis_is_told_as_such_and_how_to_make_it_anew(begun, tmp_path):
-    copy = shutil.copytree(begun, tmp_path / begun.name)
+def test_a_damaged_diagnosis_is_told_as_such_and_how_to_make_it_anew(unfinished, tmp_path):
+    copy = shutil.copytree(unfinished, tmp_path / unfinished.name)
     (copy / "gap").mkdir()
     (copy / "gap" / "diagnosis.json").write_text("{")
     assert "labrun gap diagnose" in gap_of(page_of(copy))

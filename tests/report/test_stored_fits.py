@@ -47,5 +47,5 @@ def test_show_prints_estimates_and_what_a_fit_says_of_itself(tmp_path, capsys):
     }
     print_fit(StoredFit(tmp_path / "fopdt.json", numbers), Console(width=100))
     shown = capsys.readouterr().out
-    for said in ("fopdt", "gain", "0.0091", "N/deg", "- the lag is short", "! three trials are few"):
-        assert said in shown
+    for text in ("fopdt", "gain", "0.0091", "N/deg", "- the lag is short", "! three trials are few"):
+        assert text in shown

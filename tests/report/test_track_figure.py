@@ -30,10 +30,10 @@ def test_the_loop_s_time_is_told_from_what_it_recorded(tracked):
 
 def test_show_and_report_tell_the_same_of_it(tracked):
     with open_run(tracked) as stored:
-        found = read_findings(stored)
-        text = report_page(found)
-    assert found.loop is not None
-    assert loop_words(found.loop) in text.replace("\u00a0", " ")
+        findings = read_findings(stored)
+        text = report_page(findings)
+    assert findings.loop is not None
+    assert loop_words(findings.loop) in text.replace("\u00a0", " ")
 
 
 def test_missed_deadlines_are_counted_in_words():

@@ -37,11 +37,11 @@ def references(count=20, noise=0.05, slope_per_h=0.1, seed=1):
 
 def test_the_line_has_the_slope_that_the_report_states():
     view = references()
-    (found,) = drift(view)
+    (fitted,) = drift(view)
     hours, values = reference_values(view, "thrust")
     line, _ = line_band(hours, values, np.array([0.0, 1.0]))
     assert hours[0] == 0.0
-    assert line[1] - line[0] == pytest.approx(found.slope_per_h)
+    assert line[1] - line[0] == pytest.approx(fitted.slope_per_h)
 
 
 def test_the_band_holds_the_true_line_95_percent_of_the_time():

@@ -28,8 +28,8 @@ def tiring(lab):
     def make(folder=None, **changes):
         extra = {} if folder is None else {"folder": folder}
         made = lab(**extra, **{**TIRING, **changes})
-        made.said = []
-        recorder = UntilRecorder(made.experiment, made.rig, made.folder, seed=1, phase=made.said.append)
+        made.messages = []
+        recorder = UntilRecorder(made.experiment, made.rig, made.folder, seed=1, phase=made.messages.append)
         made.session = Session(made.experiment, made.rig, made.folder, made.clock, 1, recorder=recorder)
         return made
 
@@ -62,7 +62,7 @@ def test_reaching_the_most_cycles_is_censored(tiring):
     (result,) = lab.session.measure(CONDITION)
     assert result.outcomes[0].censored
     assert result.mean("cycles") == 60
-    assert "cycle 60 of at most 60" in lab.said
+    assert "cycle 60 of at most 60" in lab.messages
 
 
 def test_samples_are_kept_of_one_cycle_in_so_many_and_dated_by_the_motion(tiring):

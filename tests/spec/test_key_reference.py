@@ -6,19 +6,19 @@ from labrun.errors import RequestError
 from labrun.spec import Experiment, keys_at
 
 
-def told(path):
+def keys_below(path):
     return {key.path: key for key in keys_at(path)}
 
 
 def test_a_table_shows_its_keys_with_default_and_unit():
-    result = told("trial.settle")
+    result = keys_below("trial.settle")
     hold = result["trial.settle.hold_s"]
     assert (hold.takes, hold.default, hold.unit) == ("number, above 0", "2", "s")
     assert result["trial.settle.until"].default == '"quiet"'
 
 
 def test_the_top_of_the_file_has_every_table():
-    assert list(told("")) == list(Experiment.model_fields)
+    assert list(keys_below("")) == list(Experiment.model_fields)
 
 
 def test_brackets_as_in_the_file_may_stand():
@@ -34,11 +34,11 @@ def test_a_table_of_names_is_entered_by_any_name(path, default):
 
 
 def test_a_plugin_shows_its_own_keys_as_its_docstring_explains_them():
-    result = told("dynamixel")
+    result = keys_below("dynamixel")
     assert "Set-points a second." in result["dynamixel.command_hz"].meaning
     assert result["dynamixel.joints"].default == "must be given"
-    assert told("rig.devices.dynamixel").keys() == {f"rig.devices.{path}" for path in result}
-    assert "gait.joints.NAME.amplitude_deg" in told("gait.joints")
+    assert keys_below("rig.devices.dynamixel").keys() == {f"rig.devices.{path}" for path in result}
+    assert "gait.joints.NAME.amplitude_deg" in keys_below("gait.joints")
 
 
 @pytest.mark.parametrize(

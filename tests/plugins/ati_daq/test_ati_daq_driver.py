@@ -49,7 +49,7 @@ def bench(card):
     card.clear("none")
 
 
-def beside(bench, **keys):
+def another_driver(bench, **keys):
     settings = AtiDaqSettings.model_validate({**bench.bench.table("balance").settings, **keys})
     clock = RealClock()
     driver = AtiDaq("balance", settings, DeviceContext(clock, np.random.default_rng(1)))
@@ -102,7 +102,7 @@ def test_loads_are_those_of_the_scene_beside_a_constant_offset(bench):
 
 def test_a_bias_in_volts_is_taken_off_and_can_be_put_back(bench):
     bias = (0.3, -0.2, 0.1, -0.4, 0.05, 0.25)
-    other = beside(bench, bias_v=bias)
+    other = another_driver(bench, bias_v=bias)
     with closing(other.driver):
         bench.driver.start()
         plain = heard(bench, 0.3).values.mean(axis=0)
@@ -229,13 +229,13 @@ def test_a_server_that_is_not_there_is_told_at_open(bench):
 
 def test_a_missing_calibration_file_is_told_at_open(bench):
     with pytest.raises(DeviceError, match=r"calibration file /nowhere/x\.cal: No such file") as raised:
-        beside(bench, calibration_file="/nowhere/x.cal").driver.open()
+        another_driver(bench, calibration_file="/nowhere/x.cal").driver.open()
     assert "came with the sensor" in str(raised.value)
 
 
 def test_without_the_vendors_driver_the_card_is_refused_with_the_next_thing_to_do(bench):
     pytest.importorskip("nidaqmx")
-    other = beside(bench, reader="nidaqmx")
+    other = another_driver(bench, reader="nidaqmx")
     with pytest.raises(DeviceError) as raised:
         other.driver.open()
     assert "NI-DAQmx" in str(raised.value)

@@ -11,7 +11,7 @@ from labrun.devices import DeviceContext, Samples
 from labrun.runner import RealClock
 
 
-def beside(bench: EmulatedDevice, **keys: Any) -> EmulatedDevice:
+def another_driver(bench: EmulatedDevice, **keys: Any) -> EmulatedDevice:
     """Return another driver, with other settings, in front of the same box."""
     settings = AtiNetFtSettings.model_validate({**bench.bench.table(bench.name).settings, **keys})
     clock = RealClock()

@@ -9,7 +9,7 @@ import pytest
 from emulated import emulated
 from labrun_plugins.ati_netft.driver import AtiNetFt
 from labrun_plugins.ati_netft.settings import AtiNetFtSettings
-from netft_bench import beside, heard, is_gapless
+from netft_bench import another_driver, heard, is_gapless
 
 from labrun.devices import DeviceContext, DeviceError, Sensor
 from labrun.runner import RealClock
@@ -30,7 +30,7 @@ def opened(box):
     made = []
 
     def make(**keys):
-        bench = beside(box, **keys)
+        bench = another_driver(box, **keys)
         made.append(bench.driver)
         bench.driver.open()
         return bench

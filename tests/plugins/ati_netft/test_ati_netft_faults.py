@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from labrun_plugins.ati_netft import emulator
 from labrun_plugins.ati_netft.emulator import BoxState, TcpDoor, WebDoor
 from labrun_plugins.simulated.ati_netft import SimulatedAtiNetFtSettings
-from netft_bench import beside, failure, heard, is_gapless
+from netft_bench import another_driver, failure, heard, is_gapless
 
 from labrun.devices import DeviceError
 from labrun.devices.emulation import EmulatorContext, EmulatorLog, Faults
@@ -162,7 +162,7 @@ def test_a_box_that_was_restarted_is_a_fault(bench, fault):
 
 
 def test_saturated_samples_are_kept_and_counted(bench):
-    slow = beside(bench, rate_hz=500, limits={})
+    slow = another_driver(bench, rate_hz=500, limits={})
     with closing(slow.driver):
         slow.driver.open()
         slow.driver.start()
@@ -259,7 +259,7 @@ def test_a_box_that_cannot_be_reached_is_told_and_comes_back(bench):
 
 
 def test_a_load_beyond_the_limit_is_found_in_records_that_are_not_handed_over_too(bench):
-    slow = beside(bench, rate_hz=10)
+    slow = another_driver(bench, rate_hz=10)
     with closing(slow.driver):
         slow.driver.open()
         slow.driver.start()
@@ -275,7 +275,7 @@ def test_a_load_beyond_the_limit_is_found_in_records_that_are_not_handed_over_to
     [("restart", "no datagram"), ("reorder", "pynetft has given up"), ("silence", "")],
 )
 def test_pynetft_as_the_client_ends_with_an_error_and_not_in_silence(bench, fault, message):
-    other = beside(bench, client="pynetft", silence_ms=400)
+    other = another_driver(bench, client="pynetft", silence_ms=400)
     with closing(other.driver):
         other.driver.open()
         other.driver.start()

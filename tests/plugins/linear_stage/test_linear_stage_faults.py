@@ -75,7 +75,7 @@ def comes_back(bench):
     bench.wait_until(lambda: is_well(bench))
 
 
-def told(error, what, hint):
+def assert_explained(error, what, hint):
     assert str(error).startswith("device stage: ")
     assert what in str(error)
     assert error.hint is not None and hint in error.hint
@@ -83,7 +83,7 @@ def told(error, what, hint):
 
 def test_silence_is_no_answer_and_ends(bench):
     bench.inject("silence")
-    told(failure(bench), "does not answer", "cable")
+    assert_explained(failure(bench), "does not answer", "cable")
     bench.clear("silence")
     comes_back(bench)
 
@@ -166,7 +166,7 @@ def test_a_force_beyond_its_limit_stops_the_board_first_and_it_can_be_backed_out
     bench.wait_until(lambda: driver.position_m() > 2e-4)
     bench.inject("overload", 8.0)
     error = failure(bench)
-    told(error, "force", "look at the be")
+    assert_explained(error, "force", "look at the be")
     assert isinstance(error, LimitExceededError)
     stop = bench.wait_for("stop", after_s=0.0)
     assert "FORCE" in {line["how"] for line in bench.events("stop")}
@@ -185,7 +185,7 @@ def test_an_end_switch_in_the_midst_of_the_way_stops_it(bench):
     driver.travel(0.015, 0.003)
     bench.wait_until(lambda: driver.position_m() > 2e-4)
     bench.inject("end-switch", "high")
-    told(failure(bench), "upper end switch", "home it again")
+    assert_explained(failure(bench), "upper end switch", "home it again")
     assert any(line["how"] == "HIGH" for line in bench.events("stop"))
     bench.clear("end-switch")
     comes_back(bench)
@@ -193,7 +193,7 @@ def test_an_end_switch_in_the_midst_of_the_way_stops_it(bench):
 
 def test_an_amplifier_that_gives_nothing_is_told_apart_from_a_dead_line(bench):
     bench.inject("not-ready")
-    told(failure(bench), "HX711", "wires")
+    assert_explained(failure(bench), "HX711", "wires")
     bench.clear("not-ready")
     comes_back(bench)
 
@@ -203,7 +203,7 @@ def test_a_stage_that_loses_its_load_cell_on_the_way_is_stopped_by_its_board(ben
     bench.wait_until(lambda: bench.driver.position_m() > 2e-4)
     begun_s = bench.clock.now()
     bench.inject("not-ready")
-    told(failure(bench), "HX711", "wires DOUT and SCK")
+    assert_explained(failure(bench), "HX711", "wires DOUT and SCK")
     assert "CELL" in {line["how"] for line in bench.events("stop") if line["time_s"] > begun_s}
     with pytest.raises(DeviceError, match="HX711"):
         bench.driver.travel(0.0, 0.003)
@@ -213,7 +213,7 @@ def test_a_stage_that_loses_its_load_cell_on_the_way_is_stopped_by_its_board(ben
 
 def test_a_board_that_restarts_is_homed_anew(bench):
     bench.inject("restart")
-    told(failure(bench), "restarted", "supply")
+    assert_explained(failure(bench), "restarted", "supply")
     bench.clock.sleep(0.1)
     before = len(commands(bench, "HOME"))
     comes_back(bench)
@@ -223,7 +223,7 @@ def test_a_board_that_restarts_is_homed_anew(bench):
 def test_a_watchdog_that_expires_is_told_and_armed_again(bench):
     bench.driver.travel(0.01, 0.003)
     bench.inject("watchdog")
-    told(failure(bench), "watchdog", "watchdog_ms")
+    assert_explained(failure(bench), "watchdog", "watchdog_ms")
     assert bench.wait_for("stop", after_s=bench.wait_for("watchdog")["time_s"] - 1e-3)["how"] == "watchdog"
     comes_back(bench)
 
@@ -237,7 +237,7 @@ def test_a_refused_target_ends_the_motion_with_the_boards_reason(bench):
 
 def test_a_plug_that_is_pulled_is_told_and_back_in_it_goes_on(bench):
     bench.inject("unplug")
-    told(failure(bench), "unplugged", "cable")
+    assert_explained(failure(bench), "unplugged", "cable")
     with pytest.raises(DeviceError, match="no port"):
         bench.driver.open()
     bench.clear("unplug")

@@ -116,9 +116,9 @@ def test_without_its_amplifier_it_stops_if_it_has_a_force_to_mind(board, most, s
     out = board(
         *HOMED, say(4, "LIM", "0.000", "60.000", most), say(5, "VEL", "2.000"), "T 500", "D 0", "T 500",
     )  # fmt: skip
-    begun, ended = (int(part.split()[0]) for part in out.rsplit("@", 2)[1:])
+    started, ended = (int(part.split()[0]) for part in out.rsplit("@", 2)[1:])
     assert (("EV", "LIMIT", "CELL") in [line.fields for line in heard(out)]) is stops
-    assert (ended - begun < 0.06 * 2 * STEPS_PER_MM) is stops
+    assert (ended - started < 0.06 * 2 * STEPS_PER_MM) is stops
 
 
 def test_a_clipped_amplifier_is_beyond_every_limit(board):

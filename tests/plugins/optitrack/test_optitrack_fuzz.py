@@ -18,9 +18,9 @@ MODEL = [wire.BodyDescription("arm", 11, [(0, 0, 0), (1, 2, 3)]), wire.BodyDescr
 
 def _read_all(datagram: bytes, version: tuple[int, int]) -> None:
     """Give a datagram to every parser of driver and emulator, and look at what they take it for."""
-    told = wire.understand(datagram)
-    if told is not None:
-        wire.connect_form(told[1])
+    announcement = wire.understand(datagram)
+    if announcement is not None:
+        wire.connect_form(announcement[1])
     message = split(datagram)
     if message is None:
         return
@@ -64,18 +64,18 @@ def test_random_payloads_of_every_message_do_no_harm(number, payload, version):
 def test_mutated_frames_and_models_do_no_harm(data, written, read, whole):
     datagram = bytearray(data.draw(st.sampled_from([wire.frame(FULL, written), wire.model(MODEL, written)])))
     for _ in range(data.draw(st.integers(0, 4))):
-        place = data.draw(st.integers(0, len(datagram) - 1))
-        datagram[place] = data.draw(st.integers(0, 255))
+        index = data.draw(st.integers(0, len(datagram) - 1))
+        datagram[index] = data.draw(st.integers(0, 255))
     cut = data.draw(st.integers(0, len(datagram))) if not whole else len(datagram)
     _read_all(bytes(datagram[:cut]), read)
 
 
 @pytest.mark.parametrize("version", LAYOUTS)
 @settings(max_examples=60, deadline=None)
-@given(place=st.integers(0, 3), count=st.integers(-(2**31), 2**31 - 1))
-def test_a_frame_with_a_wrong_number_of_bodies_is_refused(version, place, count):
+@given(identifier=st.integers(0, 3), count=st.integers(-(2**31), 2**31 - 1))
+def test_a_frame_with_a_wrong_number_of_bodies_is_refused(version, identifier, count):
     """Counts are all that holds a frame together; where one is wrong, the sizes no longer add up."""
-    content = wire.Content(1, bodies=[wire.RigidBody(place, (0, 0, 0), (0, 0, 0, 1))] * 2)
+    content = wire.Content(1, bodies=[wire.RigidBody(identifier, (0, 0, 0), (0, 0, 0, 1))] * 2)
     payload = bytearray(split(wire.frame(content, version))[1])
     at = 12 if version < (4, 1) else 20
     assert payload[at : at + 4] == (2).to_bytes(4, "little")

@@ -35,13 +35,13 @@ def test_the_figure_shows_the_worst_and_the_best_trial() -> None:
 
 @pytest.mark.parametrize("trials", [1, 4, 9])
 def test_any_number_of_trials_and_outputs_can_be_drawn(trials: int) -> None:
-    one = dataset_of([swing(0.5, duration_s=1.0, rate_hz=50.0)] * trials)
-    two = replace(
-        one,
-        outputs=(one.outputs[0], replace(one.outputs[0], name="force", unit="N")),
-        trials=tuple(replace(trial, outputs=np.repeat(trial.outputs, 2, axis=1)) for trial in one.trials),
+    single = dataset_of([swing(0.5, duration_s=1.0, rate_hz=50.0)] * trials)
+    double = replace(
+        single,
+        outputs=(single.outputs[0], replace(single.outputs[0], name="force", unit="N")),
+        trials=tuple(replace(trial, outputs=np.repeat(trial.outputs, 2, axis=1)) for trial in single.trials),
     )
-    for dataset in (one, two):
+    for dataset in (single, double):
         names = [output.name for output in dataset.outputs]
         simulated = tuple(0.9 * trial.outputs for trial in dataset.trials)
         result = FitResult(

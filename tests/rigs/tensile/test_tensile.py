@@ -27,25 +27,25 @@ def pulled(young=E, yields=YIELD, slack=0.0025, to=0.02, noise_n=0.006, seed=0, 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(0.9, 1.1), st.floats(0.9, 1.1), st.floats(0.0, 0.005))
 def test_modulus_yield_and_toe_of_one_strip_are_found(young, yields, slack):
-    found = tensile_curve(*pulled(young * E, yields * YIELD, slack), **SIZES)
-    assert found.young_pa == pytest.approx(young * E, rel=0.005)
-    assert found.yield_pa == pytest.approx(yields * YIELD, rel=0.01)
-    assert found.toe_strain == pytest.approx(slack, abs=1e-4)
-    assert not found.broke
+    curve = tensile_curve(*pulled(young * E, yields * YIELD, slack), **SIZES)
+    assert curve.young_pa == pytest.approx(young * E, rel=0.005)
+    assert curve.yield_pa == pytest.approx(yields * YIELD, rel=0.01)
+    assert curve.toe_strain == pytest.approx(slack, abs=1e-4)
+    assert not curve.broke
 
 
 def test_a_strip_that_was_not_pulled_far_enough_has_a_modulus_and_no_yield_stress():
-    found = tensile_curve(*pulled(to=0.011), **SIZES)
-    assert found.young_pa == pytest.approx(E, rel=0.01)
-    assert np.isnan(found.yield_pa)
+    curve = tensile_curve(*pulled(to=0.011), **SIZES)
+    assert curve.young_pa == pytest.approx(E, rel=0.01)
+    assert np.isnan(curve.yield_pa)
 
 
 def test_the_load_at_fracture_is_the_greatest():
     force, way = pulled()
     force[700:] = 0.01
-    found = tensile_curve(force, way, **SIZES)
-    assert found.broke
-    assert found.greatest_n == pytest.approx(force[:700].max())
+    curve = tensile_curve(force, way, **SIZES)
+    assert curve.broke
+    assert curve.greatest_n == pytest.approx(force[:700].max())
 
 
 def test_a_strain_that_runs_backwards_is_told_with_its_place():
@@ -141,12 +141,14 @@ def fitted(seed, results):
 )
 def test_batches_of_eleven_strips_give_the_published_means(batch, name, published, tolerance, tmp_path):
     batches = [batch, *(fitted(seed, tmp_path) for seed in range(1, 5))]
-    found = [batch.parameters[name] for batch in batches]
-    off = np.array([abs(one.value / published - 1) for one in found])
+    estimates = [batch.parameters[name] for batch in batches]
+    off = np.array([abs(estimate.value / published - 1) for estimate in estimates])
     # strips scatter by 2 and 3 %: one batch in thirty is off by more than the tolerance
     assert np.count_nonzero(off > tolerance) <= 1
-    assert np.mean([one.value for one in found]) == pytest.approx(published, rel=0.5 * tolerance)
-    assert sum(one.ci95[0] < published < one.ci95[1] for one in found) >= 4
+    assert np.mean([estimate.value for estimate in estimates]) == pytest.approx(
+        published, rel=0.5 * tolerance
+    )
+    assert sum(estimate.ci95[0] < published < estimate.ci95[1] for estimate in estimates) >= 4
 
 
 def test_a_batch_is_listed_by_specimen_and_says_how_far_a_hinge_may_turn(batch):
@@ -164,19 +166,19 @@ def test_one_strip_has_values_and_no_intervals(tmp_path):
         overrides=["run.conditions=[{specimen=1}]"],
         results=tmp_path,
     ).run
-    found = labrun.fit(run)
-    assert found.to_json()["parameters"]["young"]["ci95"] is None
-    assert not found.parameters["young"].known
-    assert any("not known" in line for line in found.to_text().splitlines())
+    result = labrun.fit(run)
+    assert result.to_json()["parameters"]["young"]["ci95"] is None
+    assert not result.parameters["young"].known
+    assert any("not known" in line for line in result.to_text().splitlines())
 
 
 def test_both_hinges_begin_alike_and_the_sandwich_bears_more(tmp_path):
     run = labrun.run("hinge-tensile", dry_run=True, seed=2, results=tmp_path).run
-    found = labrun.fit(run)
-    one, other = (found.parameters[f"young_{layup}"] for layup in ("polyester", "sandwich"))
-    assert max(one.ci95[0], other.ci95[0]) < min(one.ci95[1], other.ci95[1])
+    result = labrun.fit(run)
+    polyester, sandwich = (result.parameters[f"young_{layup}"] for layup in ("polyester", "sandwich"))
+    assert max(polyester.ci95[0], sandwich.ci95[0]) < min(polyester.ci95[1], sandwich.ci95[1])
     assert (
-        found.parameters["fracture_load_polyester"].ci95[1]
-        < found.parameters["fracture_load_sandwich"].ci95[0]
+        result.parameters["fracture_load_polyester"].ci95[1]
+        < result.parameters["fracture_load_sandwich"].ci95[0]
     )
-    assert any(text.startswith("fracture loads: sandwich has 1.") for text in found.findings)
+    assert any(text.startswith("fracture loads: sandwich has 1.") for text in result.findings)
