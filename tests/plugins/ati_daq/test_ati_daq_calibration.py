@@ -78,6 +78,7 @@ def test_what_the_file_tells_of_the_sensor_is_kept():
         ("not xml", "not well-formed"),
         ("<FTSensor>" + " " * 300_000 + "</FTSensor>", "longer than"),
     ],
+    ids=lambda part: part[:24].strip(),
 )
 def test_a_file_that_cannot_be_used_is_refused_and_told_why(text, message):
     with pytest.raises(calibration.CalibrationError, match=message):

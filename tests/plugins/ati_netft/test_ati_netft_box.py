@@ -99,6 +99,7 @@ BOMB = (
         b"<netft>" + b" " * 70_000 + b"</netft>",
         b"<netft>", b"", b"\x00\xff", b"<html><body>404",
     ],
+    ids=lambda data: repr(data[:24]),
 )  # fmt: skip
 def test_xml_that_is_not_plain_is_refused(data):
     with pytest.raises(strict_xml.XmlRefusedError):
