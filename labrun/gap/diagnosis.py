@@ -1,5 +1,6 @@
 """What a diagnosis says: the verdict, where, which, how far, and what it does not know."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
@@ -334,11 +335,19 @@ class RatedCandidate:
 
 @dataclass(frozen=True, slots=True)
 class Shrinkage:
-    """Share of the recalibrated excess that the causes remove on withheld conditions, with a 90 % interval."""
+    """Share of the squared recalibrated gap that the causes close of unseen data, with a 90 % interval."""
 
     value: float
     low: float
     high: float
+
+    @property
+    def of_gap(self) -> tuple[float, float, float]:
+        """The same as shares of the gap itself (root mean square): value and ends of the interval."""
+        value, low, high = (
+            1.0 - math.sqrt(max(1.0 - share, 0.0)) for share in (self.value, self.low, self.high)
+        )
+        return value, low, high
 
 
 @dataclass(frozen=True)

@@ -132,17 +132,21 @@ def _force(missing: MissingForce) -> PageFigure | None:
 
 def _tally(every: Sequence[RatedCandidate]) -> str:
     counts = {verdict: sum(row.verdict == verdict for row in every) for verdict in VERDICTS}
-    words = {
-        "cause": "needed by the data",
-        "rival": "that do as well in the place of a cause",
+    names = {
+        "cause": "a cause" if counts["cause"] == 1 else "causes",
+        "rival": "a rival" if counts["rival"] == 1 else "rivals",
         "not-needed": "not needed",
-        "excluded": "not needed, and excluded above a size",
+        "excluded": "excluded above a size",
         "not-visible": "not visible in these data",
     }
-    parts = [f"{count} {words[verdict]}" for verdict, count in counts.items() if count]
+    parts = [
+        f"{count} {'is' if count == 1 else 'are'} {names[verdict]}"
+        for verdict, count in counts.items()
+        if count
+    ]
     if not counts["cause"]:
-        parts.insert(0, "none needed by the data")
-    return f"{len(every)} candidates: {listed(parts)}."
+        parts.insert(0, "none is a cause")
+    return f"Of {len(every)} candidates {listed(parts)}."
 
 
 def _candidate(row: RatedCandidate, rank: int) -> Mapping[str, Any]:

@@ -237,5 +237,5 @@ def _removed(diagnosis: Diagnosis) -> str:
     share = diagnosis.shrinkage
     if share is None or not diagnosis.causes:
         return "how far the gap closes"
-    ends = f"90 % interval {percent(share.low)} to {percent(share.high)}"
-    return f"how far the gap closes: {percent(share.value)} of its square ({ends}), {never_seen(diagnosis)}"
+    value, low, high = map(percent, share.of_gap)
+    return f"how far the gap closes: {value} (90 % interval {low} to {high}), {never_seen(diagnosis)}"
