@@ -266,7 +266,7 @@ def preview_log(
     used = [0] * len(paths)
     for piece in reading.trials if reading.table is not None else ():
         used[int(reading.table.log[piece.first])] += piece.end - piece.first  # type: ignore[union-attr]
-    rows = tuple(previews(reading.logs, used))
+    rows = tuple(previews(reading.logs, _names(paths), used))
     remarks = tuple(statements(reading.findings))
     return LogPreview(
         rows, len(reading.trials), reading.duration_s(), remarks, tuple(questions(reading.findings))

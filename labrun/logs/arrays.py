@@ -4,22 +4,19 @@ Which array is the time of which, and which groups or labels are episodes.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
 from labrun.errors import RecordingError, RequestError
-from labrun.logs.findings import Finding, Statement
-from labrun.logs.stamps import is_time, stamps_of
-from labrun.logs.streams import Column, Stream, column, episode_runs, vector
+from labrun.logs.findings import Finding, Statement, statements
+from labrun.logs.stamps import is_time, is_time_by_unit, stamps_of
+from labrun.logs.streams import Column, Stream, column, episode_runs, is_episode, vector
 
-_EPISODE_COLUMNS = (
-    "episode_index", "episode", "episode_id", "episode_number", "trial", "trial_index", "trial_id", "trial_number",
-    "demo", "rollout",
-)  # fmt: skip
 _EPISODE_GROUP = re.compile(
     r"(?i)(demo|episode|ep|trial|traj|trajectory|rollout|run|take|seq|sequence)s?[_-]?(\d+)"
 )
@@ -27,6 +24,8 @@ _CLOCK_WORDS = {
     "", "t", "time", "times", "timestamp", "timestamps", "stamp", "s", "ms", "us", "ns", "sec", "secs", "seconds",
     "nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds", "header", "datetime", "date", "clock", "utc", "tout",
 }  # fmt: skip
+_LEAST_RUN = 20
+"""Time starts anew if it stays for so many samples below where it was: one wrong stamp does not last."""
 _COUNTERS = ("frame_index", "index", "task_index")
 
 
@@ -148,11 +147,14 @@ def _joined(parts: Sequence[Sequence[Stream]], episodes: Sequence[int]) -> list[
 def _streams(
     name: str, values: Mapping[str, FloatArray], arrays: Arrays, options: ReadOptions
 ) -> list[Stream]:
-    clocks = {
-        path: table.reshape(-1)
-        for path, table in values.items()
-        if table.size == len(table) and _is_clock(path, options)
-    }
+    flat = {path: table.reshape(-1) for path, table in values.items() if table.size == len(table)}
+    clocks = {path: table for path, table in flat.items() if path in options.times.values() or is_time(path)}
+    if not clocks:
+        clocks = {
+            path: table
+            for path, table in flat.items()
+            if is_time_by_unit(path, arrays.units.get(path, ""), table)
+        }
     signals = {path: table for path, table in values.items() if path not in clocks}
     for chosen in options.times.values():
         if chosen not in clocks:
@@ -164,8 +166,9 @@ def _streams(
     shared: dict[tuple[str, ...], dict[str, FloatArray]] = {}
     lent: dict[str, str] = {}
     alone: dict[str, int] = {}
+    names = set().union(*map(_words, signals))
     for path, table in signals.items():
-        own, is_lent = _clocks_of(path, len(table), clocks, options)
+        own, is_lent = _clocks_of(path, len(table), clocks, names, options)
         if not own:
             alone[path] = len(table)
             continue
@@ -180,8 +183,6 @@ def _streams(
             name, {path: clocks[path] for path in own}, units=arrays.units, time_unit=options.time_unit,
             chosen=stated if stated in own else None,
         )  # fmt: skip
-        if stamps is None:
-            raise RequestError(f"{name} has no column of time called {own[0]}")
         called = (own[0].rpartition("/")[0] or own[0]) if several else name
         findings = list(stamps.findings)
         if borrowed := [path for path in tables if path in lent]:
@@ -199,14 +200,13 @@ def _streams(
     return streams
 
 
-def _is_clock(path: str, options: ReadOptions) -> bool:
-    return path in options.times.values() or is_time(path)
-
-
 def _clocks_of(
-    path: str, count: int, clocks: Mapping[str, FloatArray], options: ReadOptions
+    path: str, count: int, clocks: Mapping[str, FloatArray], names: Set[str], options: ReadOptions
 ) -> tuple[tuple[str, ...], bool]:
-    """Return the columns of time of an array, the nearest ones first, and whether they are of another group."""
+    """Return the columns of time of an array, the nearest ones first, and whether they are of another group.
+
+    `names`: the words in the paths of all arrays; a column of time that has one of them is of that array alone.
+    """
     chosen = options.times.get(path) or options.times.get("")
     if chosen is not None:
         return ((chosen,), False) if len(clocks[chosen]) == count else ((), False)
@@ -220,9 +220,9 @@ def _clocks_of(
     named = [clock for clock in inside or alike if _names_of_clock(clock) & _words(path)]
     if named:
         return tuple(named), False
-    plain_named = [clock for clock in inside if not _names_of_clock(clock)]
-    if plain_named or inside:
-        return tuple(plain_named or inside), False
+    shared = [clock for clock in inside if not _names_of_clock(clock) & names]
+    if shared or inside:
+        return tuple(shared or inside), False
     return (alike[0],) if len({clock.rpartition("/")[0] for clock in alike}) == 1 else (), True
 
 
@@ -240,8 +240,14 @@ def _without_stamps(
 ) -> Stream:
     if options.rate_hz is None:
         raise RequestError(
-            f"{name} has no column of time; it has {', '.join(list(signals)[:12])}",
-            hint="call one of them time_s, name it with --time COLUMN, or state the rate of its samples: --rate 100",
+            "; ".join(
+                [
+                    f"{name} has no column of time; it has {', '.join(list(signals)[:12])}",
+                    *statements(arrays.findings),
+                ]
+            ),
+            hint="call one of them time_s (numbers, or ISO 8601), name it with --time COLUMN, or state the "
+            "rate of its samples: --rate 100",
         )
     count = max(len(table) for table in signals.values())
     findings: list[Finding] = [Statement(f"{name}: no stamps; samples are taken as {options.rate_hz:g} Hz")]
@@ -262,7 +268,7 @@ def _stream(
     columns: list[Column] = []
     for path, table in tables.items():
         group, _, own = path.rpartition("/")
-        if own.lower() in _EPISODE_COLUMNS and table.size == len(table):
+        if is_episode(own) and table.size == len(table):
             if episode is None:
                 episode = episode_runs(np.nan_to_num(table.reshape(-1)))
                 count = int(episode[-1]) + 1
@@ -283,7 +289,24 @@ def _stream(
                 arrays.units.get(labels[index], "") if labels and len(labels) == table.shape[1] else ""
             )
             columns.append(replace(part, unit=unit) if unit else part)
+    if episode is None and len(restarts := _restarts(time_s)):
+        episode = np.searchsorted(restarts, np.arange(len(time_s)), side="right")
+        at = ", ".join(str(row + 1) for row in restarts[:5]) + (", ..." if len(restarts) > 5 else "")
+        times = "once" if len(restarts) == 1 else f"{len(restarts)} times"
+        text = f"time starts anew {times}, at sample {at}: {len(restarts) + 1} episodes"
+        findings.append(Statement(f"{name}: {text}"))
     return Stream(name, time_s, tuple(columns), episode=episode, findings=tuple(findings))
+
+
+def _restarts(time_s: FloatArray) -> NDArray[np.int64]:
+    """Return the samples at which time falls back into the first half of its run, and stays below where it was."""
+    restarts, first = [], 0
+    for row in np.flatnonzero(np.diff(time_s) < 0.0) + 1:
+        later = time_s[min(int(row) + _LEAST_RUN, len(time_s)) - 1]
+        lasted = time_s[row - 1] - time_s[first]
+        if time_s[row] - time_s[first] < 0.5 * lasted and later < time_s[row - 1]:
+            restarts.append(first := int(row))
+    return np.array(restarts, dtype=np.int64)
 
 
 def _with_findings(streams: list[Stream], findings: Sequence[Finding]) -> list[Stream]:

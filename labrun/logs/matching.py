@@ -231,7 +231,8 @@ def _question(
         return Question(f"{what}: {text}", answers=answers, channel=channel.channel), None
 
     if len(candidates) > 1:
-        richest = max(candidates, key=lambda pair: _richness(pair[0]))
+        own = plain(channel.names[0])
+        richest = max(candidates, key=lambda pair: (_richness(pair[0]), plain(pair[1].stem) == own))
         return proposed(", ".join(column.name for _, column in candidates), richest)
     leaves_out = f"--map {channel.channel}={NOT} leaves it out"
     if given is not None:

@@ -1,7 +1,7 @@
 """What of a log would be read, channel by channel: the table that a person checks before anything is written."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -82,8 +82,8 @@ class ChannelPreview:
 
     def cells(self) -> list[str]:
         """Return the row of the table, a cell for each of `HEADER`."""
-        if self.column == "none":
-            return [self.channel, "none", *[""] * (len(HEADER) - 2)]
+        if not self.samples:
+            return [self.channel, self.column, *[""] * (len(HEADER) - 2)]
         return [
             self.channel, self.column, self.unit, f"{self.rate_hz:.4g}",
             f"{self.lowest:.4g} to {self.highest:.4g} {self.model_unit}", str(self.gaps), str(self.jumps),
@@ -105,6 +105,13 @@ HEADER = (
 )
 
 
-def previews(logs: Sequence[Sequence[Match]], used: Sequence[int]) -> list[ChannelPreview]:
+def previews(
+    logs: Sequence[Sequence[Match]], names: Sequence[str], used: Sequence[int]
+) -> list[ChannelPreview]:
     """Return the table of all logs, one log after another; `used`: how many samples of each are in trials."""
-    return [ChannelPreview.of(match, count) for log, count in zip(logs, used, strict=True) for match in log]
+    rows = []
+    for matches, name, count in zip(logs, names, used, strict=True):
+        for match in matches:
+            row = ChannelPreview.of(match, count)
+            rows.append(row if len(logs) == 1 else replace(row, column=f"{name}: {row.column}"))
+    return rows

@@ -3,14 +3,13 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
-from typing import Any
+from datetime import datetime, time
 
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.errors import RequestError
 from labrun.logs.findings import Finding, Question, Statement
+from labrun.logs.streams import bracketed_unit
 
 SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
@@ -26,7 +25,10 @@ _SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs"
 _NOT_STAMPS = ("run_time", "cycle_time", "loop_time", "time_from_start", "response_time", "compute_time")
 _LEAST_HZ, _LEAST_SURE_HZ, _MOST_HZ = 0.5, 2.0, 5000.0
 """Robots are logged at rates between these; between the first two, seconds and milliseconds are both possible."""
+_MOST_STATED_HZ = 20e3
+"""Drives log at this rate at most: a stated unit that makes it a higher one is doubted."""
 _SAME_RATE = 1e-4
+_DAY_S = 86_400.0
 
 
 @dataclass(frozen=True)
@@ -36,23 +38,29 @@ class Stamps:
     Attributes
     ----------
     time_s : (n,)
-    columns
-        Names of all columns that hold time, which are no signals.
     findings
     """
 
     time_s: FloatArray
-    columns: tuple[str, ...]
     findings: tuple[Finding, ...]
 
 
 def is_time(name: str) -> bool:
     """Tell whether a column's name says that it holds time."""
-    last = re.split(r"[/.]", name)[-1].strip().lower()
-    last = re.sub(r"\s*[\[(].*[\])]$", "", last)
+    last = _last(name)
     if last in _NOT_STAMPS:
         return False
     return last in _NAMES or last in _NANOSECONDS or _NAMED.match(last) is not None
+
+
+def is_time_by_unit(name: str, unit: str, values: FloatArray) -> bool:
+    """Tell whether a column with a name in another language holds time: in a unit of time, and never running back."""
+    return (unit or bracketed_unit(name)[1]) in SCALES and bool(np.all(np.diff(values) > 0))
+
+
+def _last(name: str) -> str:
+    """Return the last part of a path, without the unit in brackets, in small letters."""
+    return re.sub(r"\s*[\[(].*[\])]$", "", re.split(r"[/.]", name)[-1].strip().lower())
 
 
 def stamps_of(
@@ -62,15 +70,15 @@ def stamps_of(
     units: Mapping[str, str],
     time_unit: str | None,
     chosen: str | None,
-) -> Stamps | None:
-    """Return the time of a table; None where no column holds time.
+) -> Stamps:
+    """Return the time of a table.
 
     Parameters
     ----------
     table
         Its name, for messages.
     arrays : name -> (n,)
-        Its columns, all of one length.
+        Its columns of time, all of one length.
     units
         What a header states of columns.
     time_unit
@@ -78,64 +86,73 @@ def stamps_of(
     chosen
         The column that a person named with ``--time``.
     """
-    if chosen is not None and chosen not in arrays:
-        raise RequestError(
-            f"--time {chosen}: {table} has no such column", hint=f"it has {', '.join(list(arrays)[:12])}"
-        )
-    names = [name for name in arrays if is_time(name)]
-    if chosen is None and not names:
-        return None
+    names = list(arrays)
     pair = _pair(names) if chosen is None else None
     if pair is not None:
         seconds, nanoseconds = (arrays[name] for name in pair)
         first = seconds[np.isfinite(seconds)][:1].sum()
-        return Stamps((seconds - first) + 1e-9 * nanoseconds, tuple(names), ())
+        return Stamps((seconds - first) + 1e-9 * nanoseconds, ())
     name = chosen or min(names, key=_preference)
     time_s, findings = _seconds(table, name, arrays[name], units.get(name, ""), time_unit)
-    others = [other for other in names if other != name]
-    for other in others if chosen is None else ():
-        other_s, doubts = _seconds(table, other, arrays[other], units.get(other, ""), time_unit)
-        findings += (
-            ()
-            if any(isinstance(doubt, Question) for doubt in doubts)
-            else _compared(name, time_s, other, other_s)
-        )
-    return Stamps(time_s, tuple({name, *names}), findings)
-
-
-def iso_seconds(cells: Sequence[str], name: str) -> tuple[FloatArray, tuple[Finding, ...]]:
-    """Return ISO 8601 times as seconds since 1970, and whether they have a zone; not a number where a cell has none."""
-    values, zoned = np.full(len(cells), np.nan), 0
-    for row, cell in enumerate(cells):
-        try:
-            time = datetime.fromisoformat(cell.strip())
-        except ValueError:
+    for other in names if chosen is None else ():
+        if other == name:
             continue
-        zoned += time.tzinfo is not None
-        base = datetime(1970, 1, 1, tzinfo=time.tzinfo)
-        offset = time.utcoffset()
-        values[row] = (time - base).total_seconds() - (offset.total_seconds() if offset else 0.0)
-    finite = int(np.isfinite(values).sum())
-    if 0 < zoned < finite:
-        text = f"{name}: {zoned} of {finite} times have a zone, and the others none"
+        other_s, doubts = _seconds(table, other, arrays[other], units.get(other, ""), time_unit)
+        if not any(isinstance(doubt, Question) for doubt in doubts):
+            findings += _compared(name, time_s, other, other_s)
+    return Stamps(time_s, findings)
+
+
+def date_seconds(cells: Sequence[str], name: str) -> tuple[FloatArray, tuple[Finding, ...]]:
+    """Return ISO 8601 dates with times as seconds since 1970, and times of day as seconds since midnight.
+
+    A cell without a time is not a number. Times of day go on after midnight. Also returned: whether they have a zone.
+    """
+    values, zoned, dated = np.full(len(cells), np.nan), 0, 0
+    for row, cell in enumerate(cells):
+        moment = _moment(cell)
+        if moment is None:
+            continue
+        zoned += moment.tzinfo is not None
+        dated += moment.year > 1
+        offset = moment.utcoffset()
+        base = datetime(1970, 1, 1, tzinfo=moment.tzinfo)
+        values[row] = (moment - base).total_seconds() - (offset.total_seconds() if offset else 0.0)
+    finite = np.flatnonzero(np.isfinite(values))
+    if 0 < zoned < len(finite):
+        text = f"{name}: {zoned} of {len(finite)} times have a zone, and the others none"
         return values, (Question(text, answers="write all of them with their zone"),)
+    if not dated and len(finite):
+        midnights = np.append(False, np.diff(values[finite]) < -0.5 * _DAY_S)
+        values[finite] += _DAY_S * np.cumsum(midnights) - _DAY_S * np.floor(values[finite[0]] / _DAY_S)
+        return values, (Statement(f"stamps {name} are times of day, counted on over midnight"),)
     zone = (
         "with their zone" if zoned else "without a zone: a change to summer time would show as an hour's jump"
     )
     return values, (Statement(f"stamps {name} are dates and times, {zone}"),)
 
 
-def is_iso(cell: Any) -> bool:
-    """Tell whether a cell is a date with a time."""
+def is_date(cell: str) -> bool:
+    """Tell whether a cell is a date with a time, or a time of day."""
+    return _moment(cell) is not None
+
+
+def _moment(cell: str) -> datetime | None:
+    """Return the date and time of a cell; a time of day in the year 1; None where it has no time."""
+    if ":" not in cell:
+        return None
     try:
-        datetime.fromisoformat(str(cell).strip())
+        return datetime.fromisoformat(cell.strip())
     except ValueError:
-        return False
-    return ":" in str(cell)
+        pass
+    try:
+        return datetime.combine(datetime.min, time.fromisoformat(cell.strip()))
+    except ValueError:
+        return None
 
 
 def _preference(name: str) -> int:
-    last = re.split(r"[/.]", name)[-1].lower()
+    last = _last(name)
     return _NAMES.index(last) if last in _NAMES else len(_NAMES)
 
 
@@ -160,6 +177,7 @@ def _seconds(
     if time_unit:
         return from_first * SCALES[time_unit], ()
     ending = "ns" if name == "%time" else name.lower().rpartition("_")[2] if "_" in name else ""
+    stated = stated or bracketed_unit(name)[1]
     unit = stated if stated in SCALES else ending if ending in SCALES else ""
     steps = np.diff(finite)
     steps = steps[steps > 0]
@@ -167,10 +185,10 @@ def _seconds(
         return from_first * SCALES.get(unit, 1.0), ()
     step = float(np.median(steps))
     rates_hz = {unit_: 1.0 / (step * scale) for unit_, scale in SCALES.items()}
-    if unit and rates_hz[unit] >= _LEAST_HZ:
+    if unit and _LEAST_HZ <= rates_hz[unit] <= _MOST_STATED_HZ:
         return from_first * SCALES[unit], ()
     likely = next((unit_ for unit_, rate_hz in rates_hz.items() if rate_hz >= _LEAST_SURE_HZ), "ns")
-    if likely == "s":
+    if likely == "s" and unit in ("", "s"):
         return from_first, ()
     text = f"{table}: stamps {name} step by {step:.6g}"
     if unit or rates_hz[likely] > _MOST_HZ or (likely == "ms" and rates_hz["s"] >= _LEAST_HZ):

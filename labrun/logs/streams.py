@@ -44,6 +44,10 @@ _NAME_UNITS = {word: unit for word, unit in UNIT_WORDS.items() if len(word) > 2 
 _SPLIT = re.compile(r"[^A-Za-z0-9]+|(?<=[a-z])(?=[A-Z])")
 _BRACKETED = re.compile(r"^(.*?)\s*[\[(<]\s*([^\])>]*?)\s*[\])>]\s*$")
 _NUMBERED_WORD = re.compile(r"([A-Za-z]+)(\d+)")
+_EPISODE_COLUMNS = (
+    "episode_index", "episode", "episode_id", "episode_number", "trial", "trial_index", "trial_id", "trial_number",
+    "demo", "rollout",
+)  # fmt: skip
 SAME_ROWS = 0.95
 """Columns that share this part of their rows share their stamps; what lacks is a lost sample, not a rate of its own."""
 
@@ -134,10 +138,9 @@ def column(
     width: int | None = None,
 ) -> Column:
     """Return a column, with what its name says: `group` is its topic or table, `label` its own name in it."""
-    bracket = _BRACKETED.match(label)
-    if bracket and bracket[2].lower() in UNIT_WORDS:
-        unit = unit or UNIT_WORDS[bracket[2].lower()]
-    words = [word for word in _SPLIT.split(bracket[1] if bracket and unit else label) if word]
+    bare, bracketed = bracketed_unit(label)
+    unit = unit or bracketed
+    words = [word for word in _SPLIT.split(bare if unit else label) if word]
     words = [part for word in words for part in _apart(word)]
     around = {word.lower() for word in _SPLIT.split(group) if word}
     own = {word.lower() for word in words}
@@ -157,6 +160,13 @@ def column(
     if position is not None and not label:
         name, stem = f"{group}[{position}]", ""
     return Column(name, stem, role, np.asarray(values, dtype=np.float64), stated, position, width, by_order)
+
+
+def bracketed_unit(label: str) -> tuple[str, str]:
+    """Return a label without the unit in brackets behind it, and the unit: "" where it has none that is known."""
+    bracket = _BRACKETED.match(label)
+    unit = UNIT_WORDS.get(bracket[2].lower(), "") if bracket else ""
+    return (bracket[1] if bracket and unit else label), unit
 
 
 def vector(group: str, values: FloatArray, names: tuple[str, ...] | None = None) -> list[Column]:
@@ -211,6 +221,11 @@ def separate_sparse(stream: Stream) -> list[Stream]:
         part = replace(stream, name=name, columns=tuple(columns), findings=() if index else tuple(findings))
         separated.append(part.at(rows))
     return separated
+
+
+def is_episode(name: str) -> bool:
+    """Tell whether a column's name says that it tells episodes apart."""
+    return name.lower() in _EPISODE_COLUMNS
 
 
 def episode_runs(labels: NDArray[np.int64] | FloatArray) -> NDArray[np.int64]:

@@ -15,12 +15,14 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
 from labrun.logs.findings import Finding, Statement
-from labrun.logs.stamps import is_iso, is_time, iso_seconds
-from labrun.logs.streams import UNIT_WORDS
+from labrun.logs.stamps import date_seconds, is_date, is_time
+from labrun.logs.streams import UNIT_WORDS, is_episode
 
 _EXPECTED = "a log in text has one header line, and a number in each cell below it"
 _CHUNK_ROWS = 20_000
 _MOST_BAD_CELLS = 0.05
+_SEPARATOR = re.compile(r"(?i)sep=([,;\t])")
+"""A first line that tells Excel the delimiter."""
 _THOUSANDS = re.compile(r"-?\d{1,3}(\.\d{3})+,\d+")
 
 
@@ -84,7 +86,11 @@ def _encoding(path: Path) -> tuple[str, list[Finding]]:
 
 def _read(path: Path, file: io.TextIOWrapper, findings: list[Finding]) -> TextTable:
     before, first = _first_line(path, file)
-    delimiter = max(",;\t", key=first.count)
+    stated = _SEPARATOR.fullmatch(first.strip().strip('"'))
+    if stated:
+        skipped, first = _first_line(path, file)
+        before += skipped + 1
+    delimiter = stated[1] if stated else max(",;\t", key=first.count)
     if not first.count(delimiter) and len(first.split()) > 1 and path.suffix.lower() != ".csv":
         delimiter = " "
     rows = csv.reader(chain([first], file), delimiter=delimiter, skipinitialspace=delimiter == " ")
@@ -107,19 +113,28 @@ def _read(path: Path, file: io.TextIOWrapper, findings: list[Finding]) -> TextTa
     if not start:
         raise RecordingError(f"{path}: there is a header and no sample below it", hint=_EXPECTED)
     cells = start[0][1][: len(header)]
-    dates = [index for index, cell in enumerate(cells) if is_iso(cell) and is_time(header[index])]
-    table, texts = _parsed(path, chain(start, body), header, delimiter, dates, findings)
+    dates = [index for index, cell in enumerate(cells) if is_date(cell) and is_time(header[index])]
+    episodes = [
+        index
+        for index, cell in enumerate(cells)
+        if is_episode(header[index]) and not _is_number(cell, delimiter)
+    ]
+    table, texts = _parsed(path, chain(start, body), header, delimiter, [*dates, *episodes], findings)
     for date in dates:
-        table[:, date], date_findings = iso_seconds(texts[date], header[date])
+        table[:, date], date_findings = date_seconds(texts[date], header[date])
         units[header[date]] = "s"
         findings += date_findings
+    for index in episodes:
+        numbers: dict[str, int] = {}
+        table[:, index] = [numbers.setdefault(cell.strip(), len(numbers)) for cell in texts[index]]
     words = [name for index, name in enumerate(header) if np.isnan(table[:, index]).all()]
     arrays = {name: table[:, index] for index, name in enumerate(header) if name not in words}
     if not arrays:
         names = ", ".join(header)[:80]
         raise RecordingError(f"{path}: no column holds numbers below the header {names}", hint=_EXPECTED)
     if words:
-        findings.append(Statement(f"{path.name}: no number in {', '.join(words[:8])}; left out"))
+        texts_in = [f"{name} ({cells[header.index(name)].strip()!r})" for name in words[:8]]
+        findings.append(Statement(f"{path.name}: no number in {', '.join(texts_in)}; left out"))
     return TextTable(arrays, {name: unit for name, unit in units.items() if unit}, tuple(findings))
 
 
@@ -168,8 +183,8 @@ def _parsed(
     short: tuple[int, int] | None = None
     while chunk := list(islice(rows, _CHUNK_ROWS)):
         if short is not None:
-            _refuse_row(path, *short, width, delimiter)
-        short = _last_short(path, chunk, width, delimiter)
+            _refuse_row(path, *short, header, delimiter)
+        short = _last_short(path, chunk, header, delimiter)
         block = np.full((len(chunk), width), np.nan)
         for row, (line, cells) in enumerate(chunk):
             for index, cell in enumerate(cells[:width]):
@@ -187,7 +202,7 @@ def _parsed(
     table = np.concatenate(blocks)
     if short is not None:
         if not len(table):
-            _refuse_row(path, *short, width, delimiter)
+            _refuse_row(path, *short, header, delimiter)
         text = f"{path.name}:{short[0]}: the last line has {short[1]} of {width} cells, and is left out"
         findings.append(Statement(text))
     findings += _without_numbers(path, table, header, bad)
@@ -195,20 +210,21 @@ def _parsed(
 
 
 def _last_short(
-    path: Path, chunk: list[tuple[int, list[str]]], width: int, delimiter: str
+    path: Path, chunk: list[tuple[int, list[str]]], header: Sequence[str], delimiter: str
 ) -> tuple[int, int] | None:
     """Take the last row out if it ends early, and return its line and cells; refuse all others that do not fit.
 
     A logger that was stopped leaves its last line unfinished.
     """
+    width = len(header)
     for line, cells in chunk[:-1]:
         if not _fits(cells, width):
-            _refuse_row(path, line, len(cells), width, delimiter)
+            _refuse_row(path, line, len(cells), header, delimiter)
     line, cells = chunk[-1]
     if _fits(cells, width):
         return None
     if len(cells) > width:
-        _refuse_row(path, line, len(cells), width, delimiter)
+        _refuse_row(path, line, len(cells), header, delimiter)
     chunk.pop()
     return line, len(cells)
 
@@ -237,13 +253,15 @@ def _without_numbers(
     return findings
 
 
-def _refuse_row(path: Path, line: int, cells: int, width: int, delimiter: str) -> NoReturn:
-    comma = (
-        "; if its numbers have decimal commas, columns must be separated by semicolons"
-        if delimiter == ","
-        else ""
-    )
-    raise RecordingError(f"{path}:{line}: {cells} cells below a header of {width}{comma}", hint=_EXPECTED)
+def _refuse_row(path: Path, line: int, cells: int, header: Sequence[str], delimiter: str) -> NoReturn:
+    hint = _EXPECTED
+    if len(header) == 1:
+        hint = (
+            f"the first line, {header[0][:40]!r}, was taken for the header: delete all lines above the header"
+        )
+    elif delimiter == ",":
+        hint += "; if its numbers have decimal commas, columns must be separated by semicolons"
+    raise RecordingError(f"{path}:{line}: {cells} cells below a header of {len(header)}", hint=hint)
 
 
 def _require_no_thousands(path: Path, line: int, name: str, cell: str) -> None:

@@ -68,7 +68,8 @@ def find_jumps(
         for turn in sorted(turns, reverse=True):
             count = round(float(steps[row]) / turn)
             off = abs(float(steps[row]) - count * turn)
-            if count and usual <= _MOST_STEP * turn and off <= max(_STEPS * usual, _NEAR * turn):
+            tolerance = min(max(_STEPS * usual, _NEAR * turn), _MOST_STEP * turn)
+            if count and usual <= _MOST_STEP * turn and off <= tolerance:
                 jumps.append(Jump(int(row) + 1, count, turn))
                 break
     return jumps

@@ -18,6 +18,8 @@ from labrun.logs.turns import without_jumps
 Unit = Literal["rad", "deg", "ticks", "normalised", "percent", "m", "mm", "N m", "mN m", "A", "mA"]
 TICKS = 4096
 """Steps of an encoder in one turn, its middle being zero, if nobody says: that of servos whose logs come in ticks."""
+_LEAST_TICKS = 500.0
+"""Whole numbers above this are ticks of an encoder: degrees of a joint stay below it, and have digits."""
 _BEYOND_RAD = 2.2 * math.pi
 _SLACK = 1.05
 _FULL_SHARE, _MOST_SHARE = 99.0, 100.5
@@ -125,14 +127,14 @@ class _Joint:
     def range(self) -> tuple[float, float] | None:
         return self.matches[0].wanted.range
 
-    def values(self, kind: str | None = None) -> FloatArray:
-        """Return all numbers of the joint; where an angle wrapped at a whole turn, as if it had not."""
+    def values(self, kind: str | None = None, *, unwrapped: bool = True) -> FloatArray:
+        """Return all numbers of the joint; `unwrapped`: where an angle wrapped at a whole turn, as if it had not."""
         own = [
             match.column.values[np.isfinite(match.column.values)]
             for match in self.matches
             if match.column is not None and kind in (None, match.wanted.kind)
         ]
-        if self.matches[0].wanted.unit == "rad":
+        if unwrapped and self.matches[0].wanted.unit == "rad":
             own = [without_jumps(without_jumps(values, 2 * math.pi), 360.0) for values in own]
         return np.concatenate(own) if own else np.empty(0)
 
@@ -277,9 +279,13 @@ def _by_range(joints: Sequence[_Joint], findings: list[Finding]) -> tuple[str, f
     """Return the one unit of joints that state none, with the evidence of all of them."""
     sides = {kind: max(joint.largest(kind) for joint in joints) for kind in ("output", "input")}
     largest = max(sides.values())
-    whole = all(bool(np.all(joint.values() == np.round(joint.values()))) for joint in joints)
-    if whole and largest > 500 and all(joint.values().min(initial=0.0) >= 0 for joint in joints):
-        return _ticks(largest, findings)
+    counts = np.concatenate([joint.values(unwrapped=False) for joint in joints])
+    if (
+        counts.max(initial=0.0) > _LEAST_TICKS
+        and counts.min() >= 0
+        and np.array_equal(counts, np.round(counts))
+    ):
+        return _ticks(float(counts.max()), findings)
     lerobot = any(
         match.stream is not None and match.stream.lerobot for joint in joints for match in joint.matches
     )

@@ -52,14 +52,17 @@ def test_every_episode_of_a_lerobot_data_set_is_whole(tmp_path, arm, version):
     assert not [text for text in result.remarks if "other topics" in text]
 
 
-@pytest.mark.parametrize("name", ["episode", "trial", "episode_index"])
-def test_a_column_that_numbers_episodes_cuts_a_csv_into_them(tmp_path, arm, name):
+@pytest.mark.parametrize(
+    ("name", "label"), [("episode", "{}"), ("trial", "run-{}"), ("episode_index", "{}.0")]
+)
+def test_a_column_that_names_episodes_cuts_a_csv_into_them(tmp_path, arm, name, label):
     with (tmp_path / "log.csv").open("w", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(["time_s", name, "shoulder_cmd", "elbow_cmd", "shoulder_pos", "elbow_pos"])
         for number, (time_s, goals, angles) in enumerate(episodes()):
             rows.writerows(
-                [t, number, *goal, *angle] for t, goal, angle in zip(time_s, goals, angles, strict=True)
+                [t, label.format(number), *goal, *angle]
+                for t, goal, angle in zip(time_s, goals, angles, strict=True)
             )
     result = import_log(tmp_path / "log.csv", arm, tmp_path / "recording")
     assert lengths_of(read_recording(result.folder)) == list(LENGTHS)
@@ -124,3 +127,5 @@ def test_several_logs_are_one_recording_with_the_log_in_its_conditions(tmp_path,
     conditions = [trial.condition["log"] for trial in recording.trials]
     assert conditions == ["monday.csv"] * 3 + ["tuesday.npz"] * 3
     assert recording.trials[0].outputs == pytest.approx(recording.trials[3].outputs)
+    rows = [row.column for row in preview_log([first, second], arm).channels if row.channel == "shoulder"]
+    assert rows == ["monday.csv: shoulder_pos", "tuesday.npz: qpos[0]"]

@@ -36,6 +36,11 @@ def test_every_encoding_gives_the_same_table_and_is_told(tmp_path, encoding, nam
     assert name in " ".join(statements(stream.findings))
 
 
+def test_the_line_that_tells_excel_the_delimiter_is_no_header(tmp_path):
+    columns, _ = read(tmp_path / "log.csv", "sep=;\ntime;a,b;c\n" + ROWS.replace(",", ";"))
+    assert columns["a,b"] == pytest.approx(np.sin(0.1 * np.arange(60)), abs=1e-6)
+
+
 @given(
     delimiter=st.sampled_from([";", "\t"]),
     comma=st.booleans(),
@@ -73,7 +78,7 @@ def test_a_row_of_units_below_the_header_is_what_the_log_states(tmp_path):
         ("time,a\n0,1\n1,2,5\n2,3\n", r"log.csv:3: 3 cells below a header of 2"),
         (
             "time,a\n0,0,1\n0,1,2,5\n",
-            r"log.csv:2: 3 cells .*decimal commas, columns must be separated by semicolons",
+            r"log.csv:2: 3 cells below a header of 2\s.*decimal commas, columns must be separated by semicolons",
         ),
         (
             "time;a\n0;1.234,5\n1;2.345,5\n",

@@ -64,10 +64,23 @@ def test_steps_of_one_are_asked_about_and_can_be_stated(tmp_path):
         assert not stream.findings
 
 
-def test_a_name_that_states_seconds_over_milliseconds_is_asked_about(tmp_path):
-    path = write(tmp_path / "log.csv", {"time_s": range(0, 1000, 20), "a": np.arange(50.0)})
+@pytest.mark.parametrize(
+    ("name", "step", "expected"),
+    [
+        ("time_s", 20, "0.05 Hz if they are seconds, 50 Hz if milliseconds"),
+        ("time [ms]", 0.02, "5e+04 Hz if they are milliseconds, 50 Hz if seconds"),
+    ],
+)
+def test_a_stated_unit_that_the_steps_deny_is_asked_about(tmp_path, name, step, expected):
+    path = write(tmp_path / "log.csv", {name: step * np.arange(50), "a": np.arange(50.0)})
     (question,) = questions(read(path).findings)
-    assert "0.05 Hz if they are seconds, 50 Hz if milliseconds" in question.text
+    assert expected in question.text
+
+
+def test_a_unit_in_the_header_counts(tmp_path):
+    stream = read(write(tmp_path / "log.csv", {"time [ms]": range(50), "a": np.arange(50.0)}))
+    assert np.diff(stream.time_s) == pytest.approx(1e-3)
+    assert not stream.findings
 
 
 @pytest.mark.parametrize(
@@ -96,16 +109,54 @@ def test_dates_of_which_some_have_a_zone_are_asked_about(tmp_path):
     assert questions(read(write(tmp_path / "log.csv", {"time": cells, "a": np.arange(40.0)})).findings)
 
 
+def test_times_of_day_go_on_over_midnight(tmp_path):
+    start = datetime(2026, 3, 1, 23, 59, 59)
+    moments = [start + timedelta(milliseconds=20 * row) for row in range(80)]
+    columns = {
+        "Date": [str(moment.date()) for moment in moments],
+        "Time": [moment.time() for moment in moments],
+    }
+    stream = read(write(tmp_path / "log.csv", columns | {"a": np.arange(80.0)}))
+    assert np.diff(stream.time_s) == pytest.approx(0.02, abs=1e-5)
+    assert any("times of day" in text for text in statements(stream.findings))
+
+
+def test_a_time_that_is_not_read_is_named_with_its_cell(tmp_path):
+    path = write(tmp_path / "log.csv", {"time": ["1.3.2026 10:00:00"] * 40, "a": np.arange(40.0)})
+    with pytest.raises(RequestError, match=r"no number in time \('1.3.2026 10:00:00'\)"):
+        read(path)
+
+
+def test_a_column_in_seconds_is_time_in_any_language(tmp_path):
+    stream = read(write(tmp_path / "log.csv", {"Zeit [s]": 0.02 * np.arange(40), "a": np.arange(40.0)}))
+    assert np.diff(stream.time_s) == pytest.approx(0.02)
+    assert [column.name for column in stream.columns] == ["a"]
+
+
+def test_time_that_starts_anew_begins_an_episode(tmp_path):
+    time_s = np.concatenate([0.01 * np.arange(count) for count in (60, 90, 50)])
+    stream = read(write(tmp_path / "log.csv", {"time_s": time_s, "a": np.arange(200.0)}))
+    assert np.bincount(stream.episode).tolist() == [60, 90, 50]
+    assert "log: time starts anew 2 times, at sample 61, 151: 3 episodes" in statements(stream.findings)
+
+
+def test_one_wrong_stamp_begins_no_episode(tmp_path):
+    time_s = 0.01 * np.arange(200)
+    time_s[100] = 0.0
+    assert read(write(tmp_path / "log.csv", {"time_s": time_s, "a": np.arange(200.0)})).episode is None
+
+
+@pytest.mark.parametrize("other", ["timestamp", "sim_time", "receipt_time"])
 @pytest.mark.parametrize(("rate", "asked"), [(1.0, False), (0.98, True), (1.0005, True)])
-def test_two_clocks_of_one_table_are_compared(tmp_path, rate, asked):
+def test_two_clocks_of_one_table_are_compared(tmp_path, other, rate, asked):
     time_s = 0.01 * np.arange(500)
-    columns = {"time": time_s, "timestamp": 3.0 + rate * time_s, "a": np.arange(500.0)}
+    columns = {"time": time_s, other: 3.0 + rate * time_s, "a": np.arange(500.0)}
     stream = read(write(tmp_path / "log.csv", columns))
     texts = [question.text for question in questions(stream.findings)]
     assert bool(texts) == asked
     if asked:
         assert f"runs at {rate:.5g} of it" in texts[0]
-        assert not questions(read(tmp_path / "log.csv", times={"": "timestamp"}).findings)
+        assert not questions(read(tmp_path / "log.csv", times={"": other}).findings)
 
 
 def test_a_column_of_time_that_is_not_there_is_refused(tmp_path):

@@ -97,6 +97,19 @@ def test_joints_that_leave_their_ranges_in_radians_are_in_degrees_without_a_ques
     assert not asked
 
 
+def test_ticks_that_wrap_are_ticks(tmp_path):
+    """In degrees a step of 4096 looks like eleven turns: whole numbers are judged as they are."""
+    time_s = 0.01 * np.arange(800)
+    angles = np.column_stack([5.6 * np.sin(0.8 * time_s), np.sin(time_s)])
+    ticks = np.round(4096 / (2 * np.pi) * angles + 2048) % 4096
+    path = logs.write_csv(tmp_path / "log.csv", time_s, ticks, ticks)
+    (tmp_path / "arm.xml").write_text(logs.ARM.replace('range="-2 2"', ""))
+    preview = preview_log(path, tmp_path / "arm.xml")
+    assert not preview.questions
+    shoulder = next(row for row in preview.channels if row.channel == "shoulder")
+    assert (shoulder.unit, shoulder.lowest) == ("ticks", pytest.approx(-5.6, abs=0.01))
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
