@@ -53,10 +53,16 @@ def _parameter(data: Any, *_: Any) -> Any:
     return data
 
 
+def _device(*_: Any) -> None:
+    """Return nothing: where a tensor was kept is not read."""
+
+
 _NAMES: Mapping[tuple[str, str], Callable[..., Any]] = {
     ("collections", "OrderedDict"): OrderedDict,
     ("torch._utils", "_rebuild_tensor_v2"): _tensor,
     ("torch._utils", "_rebuild_parameter"): _parameter,
+    ("torch", "Size"): tuple,
+    ("torch", "device"): _device,
 }
 
 

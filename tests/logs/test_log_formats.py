@@ -91,6 +91,19 @@ def test_tensors_are_read_without_pytorch(tmp_path, arm, transposed):
     assert outputs.max(axis=0) == pytest.approx(angles.max(axis=0), abs=1e-6)
 
 
+def test_what_pytorch_saves_is_read(tmp_path):
+    torch = pytest.importorskip("torch")
+    time_s, _, angles = logs.motion(moves=1)
+    saved = {
+        "time": torch.tensor(time_s),
+        "qpos": torch.nn.Parameter(torch.tensor(angles)),
+        "device": torch.device("cpu"),
+    }
+    torch.save(saved, tmp_path / "log.pt")
+    (stream,) = read_log(tmp_path / "log.pt")
+    assert np.column_stack([column.values for column in stream.columns]) == pytest.approx(angles)
+
+
 class Harmful:
     def __init__(self, path):
         self.path = path
