@@ -282,7 +282,7 @@ def _case(judged: Judged) -> dict[str, Any]:
     }
 
 
-def _diagnosed(folder: CheckFolder, seed: int, there: Pool, note: Note) -> dict[str, dict[str, Any]]:
+def _diagnosed(folder: CheckFolder, seed: int, workers: Pool, note: Note) -> dict[str, dict[str, Any]]:
     """Return labrun's diagnosis of every case; cases that were diagnosed before are not diagnosed again."""
     names = folder.cases()
     replies = {name: kept for name in names if (kept := folder.reply(name, fingerprint())) is not None}
@@ -293,14 +293,14 @@ def _diagnosed(folder: CheckFolder, seed: int, there: Pool, note: Note) -> dict[
             yield name, diagnose_case, (name, folder.seen(name), case_seed(seed, name))
 
     note(f"diagnosing: {len(replies)} of {len(names)} there")
-    for name, diagnosis in spread(there, jobs()):
+    for name, diagnosis in spread(workers, jobs()):
         folder.keep_reply(name, diagnosis)
         replies[name] = diagnosis
         note(f"diagnosing: {len(replies)} of {len(names)} there, {name} {diagnosis.get('verdict', 'failed')}")
     return {name: replies[name] for name in names}
 
 
-def _asked(folder: CheckFolder, tool: Tool, there: Pool, note: Note) -> dict[str, dict[str, Any]]:
+def _asked(folder: CheckFolder, tool: Tool, workers: Pool, note: Note) -> dict[str, dict[str, Any]]:
     """Return what a tool printed for every case; it is not asked again about cases that it has answered."""
     names, programme = folder.cases(), tool.fingerprint
     replies = {name: kept for name in names if (kept := folder.reply(name, programme, tool.name)) is not None}
@@ -311,7 +311,7 @@ def _asked(folder: CheckFolder, tool: Tool, there: Pool, note: Note) -> dict[str
             yield name, ask_tool, (tool, name, folder.seen(name))
 
     note(f"{tool.name}: {len(replies)} of {len(names)} there")
-    for name, printed in spread(there, jobs()):
+    for name, printed in spread(workers, jobs()):
         replies[name] = {**printed, "programme": programme}
         folder.keep_reply(name, replies[name], tool.name)
         note(f"{tool.name}: {len(replies)} of {len(names)} there, {name} {printed.get('error', 'answered')}")
@@ -319,7 +319,7 @@ def _asked(folder: CheckFolder, tool: Tool, there: Pool, note: Note) -> dict[str
 
 
 def _shown(
-    folder: CheckFolder, seed: int, answers: Mapping[str, Mapping[str, Any]], there: Pool
+    folder: CheckFolder, seed: int, answers: Mapping[str, Mapping[str, Any]], workers: Pool
 ) -> dict[str, dict[str, Any]]:
     """Return what fresh trials showed of every case in which labrun claims a cause."""
     replies = {name: Reply.of_labrun(diagnosis) for name, diagnosis in answers.items()}
@@ -332,7 +332,7 @@ def _shown(
             arguments = (name, folder.fresh(name), folder.model(name), answers[name], case_seed(seed, name))
             yield name, shrink_case, arguments
 
-    for name, share in spread(there, jobs()):
+    for name, share in spread(workers, jobs()):
         folder.keep_shown(name, share)
         shown[name] = share
     return shown

@@ -301,9 +301,14 @@ def _of_size(size: float, draw: Draw, site: str, rehearsal: Rehearsal) -> dict[s
         hidden = _entry(draw.effect, site, draw.values(math.exp(middle)))
         case_size = rehearsal.size(hidden)
         if size / _CLOSE <= case_size <= size * _CLOSE:
-            left = rehearsal.recalibrated_size(hidden)
+            after_recalibration = rehearsal.recalibrated_size(hidden)
             separations = [rehearsal.apart(hidden, values) for values in draw.simpler(site, hidden["values"])]
-            return hidden if min([left, *separations]) >= _SMALLEST / 2 and left <= 2 * size else None
+            return (
+                hidden
+                if min([after_recalibration, *separations]) >= _SMALLEST / 2
+                and after_recalibration <= 2 * size
+                else None
+            )
         low, high = (low, middle) if case_size > size else (middle, high)
     return None
 

@@ -392,8 +392,8 @@ def _later(conditions: Sequence[FloatArray], samples: FloatArray) -> list[FloatA
 
 def _left(white: FloatArray, slopes: FloatArray) -> FloatArray:
     """Return what the columns cannot imitate."""
-    left: FloatArray = white - slopes @ np.linalg.lstsq(slopes, white, rcond=1e-8)[0]
-    return left
+    remainder: FloatArray = white - slopes @ np.linalg.lstsq(slopes, white, rcond=1e-8)[0]
+    return remainder
 
 
 def _follow(rig: Rig, motion: Trajectory) -> None:

@@ -60,14 +60,14 @@ class CheckedRobots:
 
     def named(self, least: float = PLAIN_GAP, most: float = float("inf")) -> tuple[int, int]:
         """Return how many of the hidden effects with a gap in between were named, and how many there are."""
-        there = [joint for joint in self.joints if joint.hidden and least <= joint.gap < most]
-        return sum(joint.right for joint in there), len(there)
+        hidden = [joint for joint in self.joints if joint.hidden and least <= joint.gap < most]
+        return sum(joint.right for joint in hidden), len(hidden)
 
     @property
     def false_alarms(self) -> tuple[int, int]:
         """Joints without anything hidden at which a cause was announced, and how many such joints there are."""
-        there = [joint for joint in self.joints if not joint.hidden]
-        return sum(not joint.right for joint in there), len(there)
+        without_effect = [joint for joint in self.joints if not joint.hidden]
+        return sum(not joint.right for joint in without_effect), len(without_effect)
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap check --only robots --json`` prints."""
@@ -91,13 +91,13 @@ class CheckedRobots:
 
     def to_text(self) -> str:
         """Return the scores, and every joint that was not right."""
-        right, there = self.named()
+        right, hidden_count = self.named()
         weak, weak_there = self.named(0.0, PLAIN_GAP)
         wrong, plain = self.false_alarms
         use = "of development" if self.seed < FIRST_REPORTED_SEED else "for reporting, once"
         lines = [
             f"seed {self.seed} ({use}); {len(self.seconds)} robots, {len(self.joints)} joints",
-            f"joint and effect named where the gap is 3 and more: {right} of {there}",
+            f"joint and effect named where the gap is 3 and more: {right} of {hidden_count}",
             f"                             where it is less: {weak} of {weak_there}",
             f"causes at joints without: {wrong} of {plain}",
             f"tilted bases and payloads named: {sum(judged[2] for judged in self.whole)} of {len(self.whole)}",
@@ -192,16 +192,22 @@ def _judged(
     judged_joints = []
     for joint, causes in answers.items():
         joint_names = tuple(tuple(names) for names in causes)
-        there = hidden.get(joint)
-        if there is None:
+        hidden_effect = hidden.get(joint)
+        if hidden_effect is None:
             # a tilted base and a load are there at every joint
             right = all(_effects(names) & of_all for names in joint_names)
             judged_joints.append(JudgedJoint(answer["case"], joint, "", 0.0, joint_names, right))
             continue
-        wanted = {there["effect"], f"{joint}_kp"} if there["effect"] == "drive-gain" else {there["effect"]}
+        wanted = (
+            {hidden_effect["effect"], f"{joint}_kp"}
+            if hidden_effect["effect"] == "drive-gain"
+            else {hidden_effect["effect"]}
+        )
         right = any(len(names) <= _MOST_NAMED and _effects(names) & wanted for names in joint_names)
         judged_joints.append(
-            JudgedJoint(answer["case"], joint, there["effect"], there["gap"], joint_names, right)
+            JudgedJoint(
+                answer["case"], joint, hidden_effect["effect"], hidden_effect["gap"], joint_names, right
+            )
         )
     for effect in sorted(of_all):
         named = any(effect in _effects(names) for causes in answers.values() for names in causes)

@@ -100,20 +100,20 @@ class _Levels:
         far = _far(self._fitted[index])
         near = min((start[index] for start in self._starts), key=abs)
         others = self._least_shown(index, near)
-        best, left = far, self._left(others, index, far)
+        best, least_squares = far, self._remaining(others, index, far)
         ended = float(self._ended[index])
         if abs(near) < abs(ended) < abs(far):
-            there = self._left(others, index, ended)
-            best, left = (ended, there) if there < left else (best, left)
-        limit = left + self._room
-        if not self._left(others, index, near) > limit:
+            squares = self._remaining(others, index, ended)
+            best, least_squares = (ended, squares) if squares < least_squares else (best, least_squares)
+        limit = least_squares + self._room
+        if not self._remaining(others, index, near) > limit:
             parameter = self._fitted[index]
             best, near = near, min(parameter.lower, parameter.upper, key=abs)
-            if not self._left(others, index, near) > limit:
+            if not self._remaining(others, index, near) > limit:
                 return None
         while abs(best) > _LEVELS_ALIKE * abs(near):
             between = float(np.sign(near) * np.sqrt(near * best))
-            if self._left(others, index, between) > limit:
+            if self._remaining(others, index, between) > limit:
                 near = between
             else:
                 best = between
@@ -136,11 +136,11 @@ class _Levels:
             tried = []
             for value in (sizes[other], parameter.lower, parameter.upper):
                 sizes[other] = value
-                tried.append((self._left(sizes, index, level), value))
+                tried.append((self._remaining(sizes, index, level), value))
             sizes[other] = min(tried)[1]
         return sizes
 
-    def _left(self, sizes: FloatArray, index: int, level: float) -> float:
+    def _remaining(self, sizes: FloatArray, index: int, level: float) -> float:
         """Return the sum of squares that is left with a level, less what recalibration can take."""
         sizes = sizes.copy()
         sizes[index] = level

@@ -102,19 +102,19 @@ def rest_of(search: Search, model: CauseSet, *, ask: bool) -> Rest:
     ask
         Whether to ask what of it is predictable; that takes a regression.
     """
-    gap, left = search.selection.reference.error.in_noise, model.error.in_noise
+    gap, rest = search.selection.reference.error.in_noise, model.error.in_noise
     if model is search.selection.reference:
-        left = search.recalibrated.gap
-    within = search.noise.known and left <= search.floor
-    share = left / gap if gap > 0.0 and model is not search.selection.reference else 1.0
+        rest = search.recalibrated.gap
+    within = search.noise.known and rest <= search.floor
+    share = rest / gap if gap > 0.0 and model is not search.selection.reference else 1.0
     followed = any(output.followed for output in search.model.outputs)
     nested = search.selection.nested if search.selection.chosen else None
     if within or followed or not ask:
-        return Rest(left, share, within_noise=within, nested=nested)
+        return Rest(rest, share, within_noise=within, nested=nested)
     problem, z = model.base.problem, model.base.z
     predictable = learnable_share(problem, z)
     signals = dependence(problem, z, predictable) if predictable >= criteria.NEGLIGIBLE else ()
-    return Rest(left, share, predictable, signals, nested=nested)
+    return Rest(rest, share, predictable, signals, nested=nested)
 
 
 def verdict_of(search: Search, causes: Sequence[Cause], rest: Rest) -> Verdict:

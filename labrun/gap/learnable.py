@@ -84,10 +84,10 @@ def _share(
     total = float(np.sum(np.square(wanted)))
     if total == 0.0:
         return 0.0
-    left = [
+    squares = [
         np.sum(np.square(wanted - prediction)) for prediction in _predictions(_neurons(inside), wanted, group)
     ]
-    return float(np.clip(1.0 - min(left) / total, 0.0, 1.0))
+    return float(np.clip(1.0 - min(squares) / total, 0.0, 1.0))
 
 
 def predictable_share(features: Sequence[FloatArray], values: Sequence[FloatArray]) -> float:
@@ -102,8 +102,8 @@ def predictable_share(features: Sequence[FloatArray], values: Sequence[FloatArra
     total = float(np.sum(np.square(wanted)))
     if total == 0.0 or not np.any(np.std(inside, axis=0) > 0.0):
         return 0.0
-    left = [np.sum(np.square(wanted - part)) for part in _predictions(_neurons(inside), wanted, group)]
-    return float(np.clip(1.0 - min(left) / total, 0.0, 1.0))
+    squares = [np.sum(np.square(wanted - part)) for part in _predictions(_neurons(inside), wanted, group)]
+    return float(np.clip(1.0 - min(squares) / total, 0.0, 1.0))
 
 
 def _neurons(inside: FloatArray) -> FloatArray:
@@ -129,9 +129,9 @@ def _predictions(neurons: FloatArray, wanted: FloatArray, group: FloatArray) -> 
     for withheld in groups:
         test = group == withheld
         inside = neurons[test]
-        left, right = whole - inside.T @ inside, answer - inside.T @ wanted[test]
+        normal, right = whole - inside.T @ inside, answer - inside.T @ wanted[test]
         for predicted, ridge in zip(predictions, ridges, strict=True):
-            predicted[test] = inside @ solve(left + ridge * identity, right, assume_a="pos")
+            predicted[test] = inside @ solve(normal + ridge * identity, right, assume_a="pos")
     return predictions
 
 

@@ -111,17 +111,17 @@ def _missing(problem: Problem, z: FloatArray, candidate: Candidate) -> _Missing 
         return _Missing(False, [(periods, wave) for periods, wave, _ in lines], square, [])
     steps = float(quantum(problem.data)[column]) / abs(slope) * scale.of("per-coordinate")
     limits = limits[0], min(limits[1], 2.0 * np.pi / (_STEPS_A_PERIOD * steps))
-    left = [residual[:, [column]] for residual in residuals]
+    columns = [residual[:, [column]] for residual in residuals]
     measured = np.concatenate([smoothed(trial.time_s, trial.outputs[:, [column]])[0] for trial in trials])[
         :, 0
     ]
     along = (measured - zero) / slope * scale.of("per-coordinate")
-    beyond = [smoothed(trial.time_s, values)[2] for trial, values in zip(trials, left, strict=True)]
+    beyond = [smoothed(trial.time_s, values)[2] for trial, values in zip(trials, columns, strict=True)]
     force = np.concatenate(beyond)[:, 0] / slope * scale.inertia / scale.force
     lines = _lines(along, force, *limits)
-    size = max(float(np.std(np.concatenate(left))), 1e-300)
-    past = fit_whitener([residual / size for residual in left])
-    white = np.concatenate([past.white(residual / size) for residual in left])[:, 0]
+    size = max(float(np.std(np.concatenate(columns))), 1e-300)
+    past = fit_whitener([residual / size for residual in columns])
+    white = np.concatenate([past.white(residual / size) for residual in columns])[:, 0]
     sharp = sorted(_lines(along, white, *limits, count=4 * _LINES), key=lambda line: -line[2])
     return _Missing(
         True,

@@ -142,11 +142,11 @@ def _levinson(correlation: FloatArray) -> tuple[list[FloatArray], FloatArray]:
     for order in range(1, len(correlation)):
         last = coefficients[-1]
         reflection = (correlation[order] - last @ correlation[1:order][::-1]) / variance[-1]
-        left = variance[-1] * (1.0 - reflection**2)
-        if left <= _LEAST_INNOVATION:
+        next_variance = variance[-1] * (1.0 - reflection**2)
+        if next_variance <= _LEAST_INNOVATION:
             break
         coefficients.append(np.concatenate([last - reflection * last[::-1], [reflection]]))
-        variance.append(left)
+        variance.append(next_variance)
     return coefficients, np.array(variance)
 
 

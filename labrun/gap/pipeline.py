@@ -209,7 +209,7 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, search: Search) -
             simulated_changes(problem, z),
             beginning_s(problem),
         )
-        deviations = _that_make_up_what_is_left(problem, z, first.noise, likely)
+        deviations = _sufficient_deviations(problem, z, first.noise, likely)
         if not deviations:
             break
         asked.note("taking apart what differs from trial to trial, and looking for causes beside it")
@@ -225,7 +225,7 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, search: Search) -
     return search
 
 
-def _that_make_up_what_is_left(
+def _sufficient_deviations(
     problem: Problem, z: FloatArray, noise: Noise, likely: Sequence[tuple[Deviation, ...]]
 ) -> tuple[Deviation, ...]:
     """Return the deviations that leave least once everything is fitted with them; none if that is not next to nothing.
@@ -234,17 +234,19 @@ def _that_make_up_what_is_left(
     """
     if not likely or not any(deviation.kind in ALSO_SHAPES for deviation in likely[0]):
         return likely[0] if likely else ()
-    left = [_left_beside(problem, z, noise, deviations) for deviations in likely]
-    least = int(np.argmin(left))
-    return likely[least] if left[least] <= 1.0 - _DEVIATION_NEARLY_ALL else ()
+    rests = [_remaining_share(problem, z, noise, deviations) for deviations in likely]
+    least = int(np.argmin(rests))
+    return likely[least] if rests[least] <= 1.0 - _DEVIATION_NEARLY_ALL else ()
 
 
-def _left_beside(problem: Problem, z: FloatArray, noise: Noise, deviations: Sequence[Deviation]) -> float:
+def _remaining_share(problem: Problem, z: FloatArray, noise: Noise, deviations: Sequence[Deviation]) -> float:
     """Return the part that is left beside deviations, in units of what is left then: else they are taken for noise."""
     fitted = settled_in_own_units(noise, *with_deviations(problem, z, deviations))
     after, before = mean_residuals(*fitted), mean_residuals(problem, z)
-    left, all_of_it = (np.mean(np.square(np.concatenate(residuals)), axis=0) for residuals in (after, before))
-    return float(np.mean(left / np.where(all_of_it > 0, all_of_it, 1.0)))
+    remaining, all_of_it = (
+        np.mean(np.square(np.concatenate(residuals)), axis=0) for residuals in (after, before)
+    )
+    return float(np.mean(remaining / np.where(all_of_it > 0, all_of_it, 1.0)))
 
 
 @dataclass(frozen=True)

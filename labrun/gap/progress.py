@@ -51,8 +51,8 @@ class Progress:
                 now = time.perf_counter()
                 if now - reported >= _EVERY_S:
                     reported = now
-                    left = (now - began) / done * (len(items) - done)
-                    self.note(f"{step}: {done} of {len(items)}, about {left:.0f} s left in this step")
+                    remaining_s = (now - began) / done * (len(items) - done)
+                    self.note(f"{step}: {done} of {len(items)}, about {remaining_s:.0f} s left in this step")
             return result
 
         if len(items) > 1:

@@ -374,5 +374,5 @@ def fresh_excess(
         in_units_of(noise, problem, problem.begin())
         for problem in (stated_problem(model, data) for model in models)
     ]
-    left = [fitted_excess(problem, stated(problem, problem.begin()), noise) for problem in problems]
-    return left, floor_of(data, noise, rng)
+    excesses = [fitted_excess(problem, stated(problem, problem.begin()), noise) for problem in problems]
+    return excesses, floor_of(data, noise, rng)

@@ -108,11 +108,11 @@ def explain_rest(
     end = refit(fitted, begin)
     groups = len(problem.data.conditions)
     if groups > 1:
-        left = _square(noise, held_out_excess(fitted, end, noise)) / max(
+        remaining = _square(noise, held_out_excess(fitted, end, noise)) / max(
             _square(noise, held_out_excess(problem, z, noise)), 1e-300
         )
     else:
-        left = error[count] / error[0]
+        remaining = error[count] / error[0]
     parameters = fitted.parameters(end)
     values = fitted.attached(parameters)[-1].values
     again = _chosen_again(library.columns, rest, folds, count, rng)
@@ -129,7 +129,7 @@ def explain_rest(
         )
     )
     after = _size(noise, mean_residuals(fitted, end))
-    share = float(np.clip(1.0 - left, -1.0, 1.0))
+    share = float(np.clip(1.0 - remaining, -1.0, 1.0))
     if share < _LEAST_SHARE:
         return RestLaw(library.site.name, library.site.kind, (), share, before, before, "", (), {}, (), tried)
     return RestLaw(
@@ -147,9 +147,9 @@ def explain_rest(
     )
 
 
-def _square(noise: Noise, left: ExcessResidual) -> float:
+def _square(noise: Noise, residual: ExcessResidual) -> float:
     """Return the mean square that is left, in units of one trial's noise; less the noise where repeats tell it."""
-    return left.total if noise.known else _size(noise, left.residual) ** 2
+    return residual.total if noise.known else _size(noise, residual.residual) ** 2
 
 
 def _size(noise: Noise, residual: Sequence[FloatArray]) -> float:
@@ -276,31 +276,31 @@ def folds_of_rows(problem: Problem, lengths: Sequence[int], rows: int) -> NDArra
 def _pursued(columns: FloatArray, values: FloatArray, count: int) -> list[int]:
     """Return the terms that orthogonal matching pursuit takes, one after the other."""
     unit = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    left, others, chosen = values.copy(), unit.copy(), list[int]()
+    remainder, others, chosen = values.copy(), unit.copy(), list[int]()
     for _ in range(min(count, columns.shape[1])):
         size = np.linalg.norm(others, axis=0)
-        gain = np.where(size > _LAW_TERM_NEW, np.abs(others.T @ left) / np.maximum(size, 1e-300), 0.0)
+        gain = np.where(size > _LAW_TERM_NEW, np.abs(others.T @ remainder) / np.maximum(size, 1e-300), 0.0)
         gain[chosen] = 0.0
         if not np.any(gain > 0):
             break
         chosen.append(int(np.argmax(gain)))
         along = others[:, chosen[-1]] / size[chosen[-1]]
-        left = left - along * (along @ left)
+        remainder = remainder - along * (along @ remainder)
         others = others - np.outer(along, along @ others)
     return chosen
 
 
 def _withheld(columns: FloatArray, values: FloatArray, fold: NDArray[np.intp]) -> list[float]:
     """Return the squares that 0, 1, ... terms leave of folds that neither choice nor fit has seen."""
-    left = [0.0] * (_LAW_TERMS + 1)
+    squares = [0.0] * (_LAW_TERMS + 1)
     for index in range(int(fold.max()) + 1):
         test, train = fold == index, fold != index
         for count in range(_LAW_TERMS + 1):
             chosen = _pursued(columns[train], values[train], count)
             sizes = np.linalg.lstsq(columns[np.ix_(train, chosen)], values[train], rcond=None)[0]
             rest = values[test] - columns[np.ix_(test, chosen)] @ sizes
-            left[count] += float(rest @ rest)
-    return left
+            squares[count] += float(rest @ rest)
+    return squares
 
 
 def _count(errors: Sequence[float]) -> int:

@@ -179,8 +179,8 @@ class Screened:
         if not np.any(whole > 0):
             return 0.0
         smallest = int(np.argmin(np.where(whole > 0, whole, np.inf)))
-        left = float(np.linalg.norm(self.survey.directions[:, smallest])) / float(whole[smallest])
-        return left * float(np.max(whole)) if left > criteria.IMITATED else 0.0
+        remainder = float(np.linalg.norm(self.survey.directions[:, smallest])) / float(whole[smallest])
+        return remainder * float(np.max(whole)) if remainder > criteria.IMITATED else 0.0
 
 
 def survey(base: Base, candidate: Candidate) -> Survey:
@@ -201,10 +201,10 @@ def survey(base: Base, candidate: Candidate) -> Survey:
             change, whole = _released(base, problem)
             rated.append((0.0, number, z, change, whole))
             continue
-        there = in_steps_that_follow(problem, z, base.residual, candidate.pace_s(start))[1]
-        if there is None:
+        moved = in_steps_that_follow(problem, z, base.residual, candidate.pace_s(start))[1]
+        if moved is None:
             continue
-        parts = [after - now for after, now in zip(there, base.residual, strict=True)]
+        parts = [after - now for after, now in zip(moved, base.residual, strict=True)]
         change = base.nuisance.remainder(parts)
         whole = float(np.sqrt(sum(float(part @ part) for part in parts)))
         rated.append((float(np.sum((before + change) ** 2)), number, z, change, whole))
@@ -278,18 +278,20 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     candidate, size = surveyed.candidate, surveyed.problem.size
     for start in starts:
         pace_s = candidate.pace_s(start[size - candidate.variables : size])
-        problem, there = in_steps_that_follow(surveyed.problem, start, base.residual, pace_s)
+        problem, residuals = in_steps_that_follow(surveyed.problem, start, base.residual, pace_s)
         z = minimise(
             problem,
             start,
             tolerance=numerics.ROUGH_TOLERANCE,
             evaluations=numerics.ROUGH_EVALUATIONS,
             central=False,
-            derivatives=None if jacobian is None else problem.jacobian(start, there, given_jacobian=jacobian),
+            derivatives=None
+            if jacobian is None
+            else problem.jacobian(start, residuals, given_jacobian=jacobian),
             secant=jacobian is not None,
             confirmed=jacobian is None,
             given_jacobian=jacobian,
-            residual=there,
+            residual=residuals,
         )
         ends.append((problem.squares(z), problem, z))
     squares, problem, z = min(ends, key=lambda end: end[0])
@@ -346,9 +348,9 @@ def screen_all(
     def begin(surveyed: Survey) -> Screened:
         if surveyed.potential >= needed:
             return rough(base, surveyed, known.get(surveyed.candidate.name))
-        left = base.squares - surveyed.potential
+        expected = base.squares - surveyed.potential
         return Screened(
-            surveyed.candidate, surveyed.problem, surveyed.starts[0], left, surveyed.potential, surveyed
+            surveyed.candidate, surveyed.problem, surveyed.starts[0], expected, surveyed.potential, surveyed
         )
 
     started = each(begin, surveys)

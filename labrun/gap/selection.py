@@ -244,9 +244,9 @@ class Selector:
         logs = np.array([entry.error.log for entry in sets])
         complexity = [entry.complexity if entry.candidates else (0, 0) for entry in sets]
         chosen = decide.chosen_without_each_unit(logs, complexity, self.units.strata)
-        left = sum(float(np.mean(sets[row].error.squares[unit])) for unit, row in enumerate(chosen))
+        squares = sum(float(np.mean(sets[row].error.squares[unit])) for unit, row in enumerate(chosen))
         usual = float(np.sum(np.mean(final.error.squares, axis=1)))
-        return final.error.in_noise * float(np.sqrt(left / usual)) if usual > 0.0 else final.error.in_noise
+        return final.error.in_noise * float(np.sqrt(squares / usual)) if usual > 0.0 else final.error.in_noise
 
     def closes(self, before: UnseenError, after: UnseenError) -> float:
         """Return the share of the gap (root mean square) that a step from one model to another closes."""

@@ -29,12 +29,12 @@ def in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatAr
 
     What is quick beside the integrator's steps, such as a short delay in a loop or a stiff force, wants shorter ones.
     """
-    there = problem.finite_residuals(z)
-    if there is None:
+    residuals = problem.finite_residuals(z)
+    if residuals is None:
         finer = _in_finer_steps(problem)
-        there = None if finer is problem else finer.finite_residuals(z)
-        problem = problem if there is None else finer
-    return problem, there
+        residuals = None if finer is problem else finer.finite_residuals(z)
+        problem = problem if residuals is None else finer
+    return problem, residuals
 
 
 def in_steps_that_follow(
@@ -51,15 +51,17 @@ def in_steps_that_follow(
     pace_s
         Of its internal states; infinite where they have none of their own.
     """
-    problem, there = in_steps_for(problem, z)
+    problem, residuals = in_steps_for(problem, z)
     if not _quick(pace_s, problem):
-        return problem, there
-    while there is not None and (finer := _in_finer_steps(problem)) is not problem:
+        return problem, residuals
+    while residuals is not None and (finer := _in_finer_steps(problem)) is not problem:
         after = finer.finite_residuals(z)
-        if after is None or _squares_between(after, there) <= _STEPS_FOLLOW * _squares_between(after, before):
+        if after is None or _squares_between(after, residuals) <= _STEPS_FOLLOW * _squares_between(
+            after, before
+        ):
             break
-        problem, there = finer, after
-    return problem, there
+        problem, residuals = finer, after
+    return problem, residuals
 
 
 def _quick(pace_s: float, problem: Problem) -> bool:
@@ -144,13 +146,13 @@ def _short_where_it_matters(
     asking = np.where(finest > mine, _asking(problem, finer, z, index), -1.0)
     order = np.argsort(-asking, kind="stable")
     offsets = np.arange(-_SHORT_BESIDE, _SHORT_BESIDE + 1)
-    only, there = problem.part([index]), np.concatenate([z[: problem.size], problem.own(z, index)])
+    only, z_of_trial = problem.part([index]), np.concatenate([z[: problem.size], problem.own(z, index)])
     for part in _SHORT_PARTS if np.isfinite(asking).all() else ():
         short = order[: int(np.ceil(part * len(order))), None] + offsets
         short, counts = np.clip(short, 0, len(order) - 1), mine.copy()
         counts[short] = finest[short]
         mixed = only.with_steps([counts])
-        if abs(_squares_by_trial(mixed, there)[0] - fine) <= allowed:
+        if abs(_squares_by_trial(mixed, z_of_trial)[0] - fine) <= allowed:
             return mixed.drives[0]
     return finer.drives[index]
 

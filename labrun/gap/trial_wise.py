@@ -62,21 +62,21 @@ def deviations_of_repeats(
         Measured minus simulated of every trial.
     """
     deviations: list[Deviation] = []
-    left = [list(members) for members in residual]
+    remainder = [list(members) for members in residual]
     outputs = range(units.trials[0].outputs.shape[1])
     tried = [(kind, output) for kind in _KINDS for output in (outputs if kind != "start time" else (None,))]
     while len(deviations) < _MOST_DEVIATIONS:
         known = [(deviation.kind, deviation.output) for deviation in deviations]
         rest = [(kind, output) for kind, output in tried if (kind, output) not in known]
-        results = [_rated_in_repeats(units, left, simulated, kind, output) for kind, output in rest]
+        results = [_rated_in_repeats(units, remainder, simulated, kind, output) for kind, output in rest]
         best = max(
             (result for result in results if result is not None), key=lambda result: result[0], default=None
         )
         if best is None:
             break
-        _, deviation, left = best
+        _, deviation, remainder = best
         deviations.append(deviation)
-    return TrialDeviations(tuple(deviations), left)
+    return TrialDeviations(tuple(deviations), remainder)
 
 
 _RatedInRepeats = tuple[float, Deviation, list[list[FloatArray]]]
@@ -256,13 +256,14 @@ def deviations_without_repeats(
     for key, change in (changes or {}).items():
         shapes[key] = list(change)
     begin = [_samples_within(short_s, trial.time_s) for trial in units.trials]
-    accepted, alone, left = list[Deviation](), list[Deviation](), list(residual)
+    accepted, alone, remainder = list[Deviation](), list[Deviation](), list(residual)
     while len(accepted) < _MOST_DEVIATIONS:
         known = [(deviation.kind, deviation.output) for deviation in accepted]
         rated = [
             entry
             for key, shape in shapes.items()
-            if key not in known and (entry := _rated_without_repeats(left, shape, *key, begin)) is not None
+            if key not in known
+            and (entry := _rated_without_repeats(remainder, shape, *key, begin)) is not None
         ]
         if not accepted:
             alone = [
@@ -275,7 +276,7 @@ def deviations_without_repeats(
             break
         most = max(entry.share for entry in predictive)
         best = next(entry for entry in predictive if entry.share >= most - _SIMPLER_SHARE)
-        left = best.residual
+        remainder = best.residual
         accepted.append(best.deviation)
     sets = [tuple(accepted)] if accepted else []
     return list(dict.fromkeys([*sets, *((deviation,) for deviation in alone)]))
@@ -362,9 +363,9 @@ def _predicts_unseen_blocks(
             others = float(np.sum(energy) - energy[index])
             elsewhere = float(np.sum(along) - along[index]) / others if others > 0 else shared
             usual = np.mean(np.square(block - shared * part))
-            left = np.mean(np.square(block - elsewhere * part)) + criteria.NEGLIGIBLE**2 * usual
+            error = np.mean(np.square(block - elsewhere * part)) + criteria.NEGLIGIBLE**2 * usual
             before.append(float(np.log(max(usual, np.finfo(float).tiny))))
-            after.append(float(np.log(max(left, np.finfo(float).tiny))))
+            after.append(float(np.log(max(error, np.finfo(float).tiny))))
             strata.append(trial)
     return len(before) > 1 and decide.beats(np.array(after), np.array(before), np.array(strata))
 

@@ -290,11 +290,11 @@ def _tried(
     sizes, changes = list[float](), list[Change]()
     for part in _SIZES:
         values = [_value(parameter, part) for parameter in fitted]
-        there = np.insert(z, problem.size, values)
-        parameters = added.parameters(there)
+        z_with = np.insert(z, problem.size, values)
+        parameters = added.parameters(z_with)
         differences = []
         for index, before in enumerate(base):
-            after = added.trial_residual(parameters, index, added.own(there, index))
+            after = added.trial_residual(parameters, index, added.own(z_with, index))
             differences.append(np.zeros_like(before) if after is None else after - before)
         change = imitation.change(differences)
         changes.append(change if len(changes) == _MIDDLE else replace(change, parts=()))
@@ -326,10 +326,10 @@ def _chosen(pool: Sequence[PlannedTrial], tried: Sequence[_Tried], imitation: Im
 
 def _imitated(tried: _Tried, strengths: FloatArray, chosen: Sequence[int]) -> bool:
     """Tell whether parameters do nearly the same: asked of the smallest change, where linear projection is true."""
-    for change, left in zip(tried.changes, strengths, strict=True):
+    for change, strength in zip(tried.changes, strengths, strict=True):
         whole = float(change.squares[chosen].sum()) ** 0.5
         if whole > _NUMERICAL:
-            return bool(left <= criteria.IMITATED * whole)
+            return bool(strength <= criteria.IMITATED * whole)
     return True
 
 

@@ -270,11 +270,11 @@ def would_separate(rival: Rival, other: Rival) -> str:
 def _advice(rival: Rival, other: Rival) -> str:
     if rival.cause is None or other.cause is None:
         return _HARDLY
-    here, there = rival.cause.effect, other.cause.effect
-    if here == there:
+    effect, other_effect = rival.cause.effect, other.cause.effect
+    if effect == other_effect:
         return _OTHERWISE
     for some, others, advice in _RULES:
-        if (here in some and there in others) or (there in some and here in others):
+        if (effect in some and other_effect in others) or (other_effect in some and effect in others):
             return advice.format(corner=_corner(rival, other))
     return _OTHERWISE
 

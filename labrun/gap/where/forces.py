@@ -64,18 +64,20 @@ def smooth(blocks: Sequence[FloatArray], values: FloatArray, span: FloatArray) -
     from scipy.linalg import block_diag, eigh
 
     ends = np.cumsum([len(block) for block in blocks])[:-1]
-    left = values - span @ (span.T @ values)
+    remainder = values - span @ (span.T @ values)
     spanned = np.concatenate(
         [part.T @ block for part, block in zip(np.split(span, ends), blocks, strict=True)], axis=1
     )
     gram = block_diag(*[block.T @ block for block in blocks]) - spanned.T @ spanned
-    right = np.concatenate([block.T @ part for block, part in zip(blocks, np.split(left, ends), strict=True)])
+    right = np.concatenate(
+        [block.T @ part for block, part in zip(blocks, np.split(remainder, ends), strict=True)]
+    )
     rough = block_diag(*[_roughness(block.shape[1]) for block in blocks])
     size, vectors = eigh(gram, rough)
     size = np.maximum(size, 0.0)
     seen = vectors.T @ right
     free = len(values) - span.shape[1]
-    whole = float(left @ left)
+    whole = float(remainder @ remainder)
     best, chosen = np.inf, float(size.max()) + 1e-300
     for penalty in float(size.max()) * np.geomspace(1e-12, 10.0, _PENALTIES) + 1e-300:
         shrunk = 1.0 / (size + penalty)
@@ -150,7 +152,7 @@ class _Course:
 
     forces: list[FloatArray]
     simulations: list[Simulation]
-    left: float
+    squares: float
 
 
 def missing_forces(difference: Difference) -> tuple[MissingForce, ...]:
@@ -256,7 +258,7 @@ class _Search:
         self._nuisance = NuisanceSubspace(difference)
         self.knots = _knots(difference)
         self._expected = 0.0
-        self._before = self._left(list(difference.residual))
+        self._before = self._remaining(list(difference.residual))
 
     def course(self) -> _Course | None:
         """Fit the force, relinearising about it until a simulation keeps what the last linearisation promised."""
@@ -270,10 +272,10 @@ class _Search:
                 break
             promised, forces = self._step(course, size)
             course = self._simulated(forces)
-            if course is None or (best is not None and course.left >= best.left):
+            if course is None or (best is not None and course.squares >= best.squares):
                 break
             best = course
-            if course.left - promised <= _FORCE_AS_GOOD * self._before:
+            if course.squares - promised <= _FORCE_AS_GOOD * self._before:
                 break
         return best
 
@@ -284,10 +286,10 @@ class _Search:
         excess = self._before - (count if known else 0.0)
         if excess <= 0:
             return 0.0
-        left = course.left - (self._expected if known else 0.0)
-        return float(np.clip(1.0 - left / excess, 0.0, 1.0))
+        rest = course.squares - (self._expected if known else 0.0)
+        return float(np.clip(1.0 - rest / excess, 0.0, 1.0))
 
-    def _left(self, residual: Sequence[FloatArray]) -> float:
+    def _remaining(self, residual: Sequence[FloatArray]) -> float:
         white = self._nuisance.white(
             [trial_residual / self._difference.noise_sd for trial_residual in residual]
         )
@@ -328,12 +330,12 @@ class _Search:
         if not all(simulation.finite for simulation in simulations):
             return None
         residual = [
-            left + before - simulation.outputs
-            for left, before, simulation in zip(
+            remainder + before - simulation.outputs
+            for remainder, before, simulation in zip(
                 self._difference.residual, self._difference.simulated, simulations, strict=True
             )
         ]
-        return _Course(forces, simulations, self._left(residual))
+        return _Course(forces, simulations, self._remaining(residual))
 
     def _simulate(self, index: int, forces: FloatArray) -> Simulation:
         difference, knots = self._difference, self.knots[index]

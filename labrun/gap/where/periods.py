@@ -104,8 +104,8 @@ def _series(time_s: FloatArray, signal: FloatArray, period: float) -> FloatArray
 
 
 def _explained(time_s: FloatArray, signal: FloatArray, period: float) -> float:
-    left = signal - _design(time_s, period) @ _series(time_s, signal, period)
-    return 1.0 - float(np.var(left) / np.var(signal))
+    remainder = signal - _design(time_s, period) @ _series(time_s, signal, period)
+    return 1.0 - float(np.var(remainder) / np.var(signal))
 
 
 def _period(time_s: FloatArray, signal: FloatArray) -> float | None:

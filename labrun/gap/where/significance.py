@@ -52,8 +52,8 @@ class NuisanceSubspace:
         moves = np.array([np.any(part != 0, axis=0) for part in parts]).reshape(len(parts), -1)
         single = moves.sum(axis=0) == 1
         self._own = [
-            self._basis_of_unit(part[:, single & there], unit)
-            for unit, (part, there) in enumerate(zip(parts, moves, strict=True))
+            self._basis_of_unit(part[:, single & moving], unit)
+            for unit, (part, moving) in enumerate(zip(parts, moves, strict=True))
         ]
         self._shared = self._basis_of_all([part[:, moves.any(axis=0) & ~single] for part in parts])
 
