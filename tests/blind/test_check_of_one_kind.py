@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from labrun.blind import Answer, Cause, CauseName, Checked, Scored, check
-from labrun.blind.check_folder import SHIPPED_GENERATOR, CheckFolder, prepare
+from labrun.blind.check_folder import CheckFolder, prepare
 from labrun.blind.diagnosis_check import _diagnosed, kind_named
 from labrun.blind.jobs import fingerprint
 from labrun.blind.judging import PredictedShare, Reply, judge
@@ -166,7 +166,7 @@ def test_each_kind_has_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.M
 
 def test_kinds_are_those_of_the_generator_and_may_be_said_in_the_plural() -> None:
     result = subprocess.run(
-        [sys.executable, str(SHIPPED_GENERATOR), "--help"], capture_output=True, text=True, check=True
+        [sys.executable, "-m", "labrun_plugins.cases", "--help"], capture_output=True, text=True, check=True
     )
     (choices,) = {part.partition("}")[0] for part in result.stdout.split("--only {")[1:]}
     assert sorted(choices.replace(" ", "").replace("\n", "").split(",")) == sorted((*KINDS, ROBOT))
