@@ -14,8 +14,12 @@ _README = re.compile(r"\]\((?:\.\./)+(?:plugins/labrun_plugins/)?(\w+)/README\.m
 
 
 def readmes() -> dict[str, Path]:
-    """Return the devices' READMEs by the names of their pages."""
-    return {path.parent.name.replace("_", "-"): path for path in sorted(PLUGINS.glob("*/README.md"))}
+    """Return the devices' READMEs by the names of their pages; those of a device begin with its name as code."""
+    return {
+        path.parent.name.replace("_", "-"): path
+        for path in sorted(PLUGINS.glob("*/README.md"))
+        if path.read_text(encoding="utf-8").startswith("# `")
+    }
 
 
 def on_config(config: Any) -> Any:
