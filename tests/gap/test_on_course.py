@@ -70,8 +70,8 @@ def test_an_observer_without_gain_is_the_model_itself() -> None:
     held = observed(model, np.zeros((2, 1)), trial.condition)
     alone = simulate(model, trial.time_s, trial.inputs, condition=trial.condition, substeps=2)
     both = np.column_stack([trial.inputs, trial.outputs])
-    beside = simulate(held, trial.time_s, both, condition=trial.condition, substeps=2)
-    np.testing.assert_array_equal(beside.outputs, alone.outputs)
+    jointly = simulate(held, trial.time_s, both, condition=trial.condition, substeps=2)
+    np.testing.assert_array_equal(jointly.outputs, alone.outputs)
 
 
 def test_a_plant_that_hangs_is_simulated_as_it_is() -> None:

@@ -38,42 +38,42 @@ def test_every_item_is_worked_on_and_how_many_there_are_is_told() -> None:
     assert notes[0] == "fitting: 0 of 4"
 
 
-def test_after_the_deadline_nothing_is_begun() -> None:
-    begun: list[int] = []
+def test_after_the_deadline_nothing_is_started() -> None:
+    started: list[int] = []
     progress = Progress(one_by_one, lambda _: None, deadline_s=0.0)
     with pytest.raises(TimeOver):
-        progress("fitting", begun.append, range(4))
-    assert begun == []
+        progress("fitting", started.append, range(4))
+    assert started == []
 
 
 def test_workers_in_parallel_stop_at_the_deadline_too() -> None:
-    lock, begun = threading.Lock(), 0
+    lock, started = threading.Lock(), 0
 
     def count(_: int) -> None:
-        nonlocal begun
+        nonlocal started
         with lock:
-            begun += 1
+            started += 1
 
     with workers(2) as each, pytest.raises(TimeOver):
         Progress(each, lambda _: None, deadline_s=0.0)("fitting", count, range(50))
-    assert begun == 0
+    assert started == 0
 
 
 def test_a_search_without_time_gives_the_recalibrated_model_and_says_that_it_is_not_complete() -> None:
-    found = diagnosed(within_s=0.0)
-    assert found.stopped == "time"
-    assert not found.complete
-    assert found.causes == ()
-    assert [rung.step for rung in found.ladder] == ["as stated", "recalibrated"]
-    answer = found.to_json()
+    diagnosis = diagnosed(within_s=0.0)
+    assert diagnosis.stopped == "time"
+    assert not diagnosis.complete
+    assert diagnosis.causes == ()
+    assert [rung.step for rung in diagnosis.ladder] == ["as stated", "recalibrated"]
+    answer = diagnosis.to_json()
     assert (answer["complete"], answer["stopped"]) == (False, "time")
 
 
 def test_an_interrupted_search_keeps_the_cause_that_it_has_found() -> None:
-    found = diagnosed(stop_at="beside coulomb-friction at hinge")
-    assert found.stopped == "interrupted"
-    assert [str(cause.name) for cause in found.causes] == ["coulomb-friction at hinge"]
-    assert found.causes[0].values["torque"].value == pytest.approx(0.009, rel=0.2)
+    diagnosis = diagnosed(stop_at="beside coulomb-friction at hinge")
+    assert diagnosis.stopped == "interrupted"
+    assert [str(cause.name) for cause in diagnosis.causes] == ["coulomb-friction at hinge"]
+    assert diagnosis.causes[0].values["torque"].value == pytest.approx(0.009, rel=0.2)
 
 
 def test_an_interruption_before_there_is_an_answer_ends_the_diagnosis() -> None:

@@ -30,31 +30,31 @@ def table(folder: Path, *, reading_error: str, most_n_m: float = 9.9) -> Path:
     return folder
 
 
-def said(folder: Path):
+def diagnosed(folder: Path):
     asked = ask(folder, None)
     return diagnose_dataset(asked.dataset, asked.model, Options(places=False))
 
 
 def test_values_within_their_reading_error_are_no_gap(tmp_path: Path) -> None:
-    result = said(table(tmp_path / "peak", reading_error="reading_error = 0.01"))
+    result = diagnosed(table(tmp_path / "peak", reading_error="reading_error = 0.01"))
     assert result.verdict == "no-gap"
     assert result.noise["torque"] == 0.01
 
 
 def test_a_limit_far_beyond_the_reading_error_is_named_with_its_level(tmp_path: Path) -> None:
-    result = said(table(tmp_path / "peak", reading_error="reading_error = 0.01", most_n_m=0.3))
+    result = diagnosed(table(tmp_path / "peak", reading_error="reading_error = 0.01", most_n_m=0.3))
     assert [str(cause.name) for cause in result.causes] == ["saturation at torque"]
     assert result.causes[0].values["level"].value == pytest.approx(0.3, abs=0.02)
     assert "the reading error that the recording states" in result.limitations[0]
 
 
 def test_the_same_limit_is_noise_beside_a_reading_error_as_large_as_it(tmp_path: Path) -> None:
-    result = said(table(tmp_path / "peak", reading_error="reading_error = 0.6", most_n_m=0.3))
+    result = diagnosed(table(tmp_path / "peak", reading_error="reading_error = 0.6", most_n_m=0.3))
     assert not result.causes
 
 
 def test_the_published_torque_of_a_wing_lacks_a_limit_of_its_recovery_stroke() -> None:
     table_7_2 = Path(__file__).parents[2] / "experiments" / "recordings" / "table-7-2"
-    result = said(table_7_2)
+    result = diagnosed(table_7_2)
     assert str(result.causes[0].name) == "saturation at recovery_stroke"
     assert result.causes[0].values["level"].value == pytest.approx(0.13, abs=0.01)

@@ -232,7 +232,7 @@ def wandering(data: Dataset, size: float) -> Dataset:
     return replace(data, trials=tuple(trials))
 
 
-def begun(angles: Sequence[float], slow: float, rate_hz: float = 100.0) -> Dataset:
+def released(angles: Sequence[float], slow: float, rate_hz: float = 100.0) -> Dataset:
     """Return driven trials of the true pendulum from these angles, with white and with 1/f noise."""
     time_s, made, rng = np.arange(0.0, 4.0, 1 / rate_hz), [], np.random.default_rng(2)
     for trial, angle, (amplitude, frequency_hz) in zip(
@@ -256,12 +256,12 @@ def deviations_of(data: Dataset) -> list[tuple[DeviationKind, int | None]]:
 
 
 def test_a_sensor_whose_noise_is_slow_does_not_let_trials_begin_elsewhere() -> None:
-    assert deviations_of(begun((0.0,) * 5, slow=0.01, rate_hz=500.0)) == []
+    assert deviations_of(released((0.0,) * 5, slow=0.01, rate_hz=500.0)) == []
 
 
 @pytest.mark.parametrize("slow", [0.0, 0.004])
 def test_trials_that_begin_where_a_hand_let_go_are_told(slow: float) -> None:
-    assert ("initial state", 0) in deviations_of(begun((0.05, -0.04, 0.08, 0.02, -0.06), slow))
+    assert ("initial state", 0) in deviations_of(released((0.05, -0.04, 0.08, 0.02, -0.06), slow))
 
 
 @pytest.mark.parametrize("plant", ["swings", "integrates"])

@@ -284,7 +284,7 @@ speed = 0.0
 def test_what_mends_a_part_of_a_form_and_leaves_as_much_to_be_learned_is_no_second_cause() -> None:
     """A belt that gives way, 2 % stiffer once it is stretched: a clock of 1 ms mends half of what the line lacks."""
     time_s, rng = np.arange(0.0, 4.0, 1 / 250), np.random.default_rng(2)
-    begun = np.clip(time_s / 0.3, 0.0, 1.0)
+    ramp = np.clip(time_s / 0.3, 0.0, 1.0)
     steps, last = np.zeros_like(time_s), 0.0
     for start_s, lasts_s, index in [
         (0.2, 0.08, 6),
@@ -295,11 +295,11 @@ def test_what_mends_a_part_of_a_form_and_leaves_as_much_to_be_learned_is_no_seco
     ]:
         part = np.clip((time_s - start_s) / lasts_s, 0.0, 1.0)
         steps, last = steps + (1e-3 * index - last) * part**2 * (3.0 - 2.0 * part), 1e-3 * index
-    chirp = 1.5e-3 * np.sin(2 * np.pi * (0.5 * time_s + 2.125 * time_s**2)) * begun
+    chirp = 1.5e-3 * np.sin(2 * np.pi * (0.5 * time_s + 2.125 * time_s**2)) * ramp
     phases = rng.uniform(0.0, 6.28, 7)
     waves = zip([30, 15, 8, 6, 5, 4, 3], [0.9, 2.3, 4.1, 6.7, 9.1, 11.9, 14.3], phases, strict=True)
     several = (
-        sum(1e-4 * size * np.sin(2 * np.pi * f_hz * time_s + phase) for size, f_hz, phase in waves) * begun
+        sum(1e-4 * size * np.sin(2 * np.pi * f_hz * time_s + phase) for size, f_hz, phase in waves) * ramp
     )
     trials = []
     for index, goal in enumerate((steps, chirp, several)):

@@ -377,13 +377,13 @@ def test_a_mass_is_told_only_where_the_joints_that_carry_it_agree():
 
 
 def test_of_two_places_that_as_many_joints_tell_a_load_at_the_one_that_leaves_less_counts():
-    def told(*afters: float, effect: str = "payload") -> list:
+    def loaded(*afters: float, effect: str = "payload") -> list:
         cause = SimpleNamespace(name=SimpleNamespace(effect=effect))
         return [(None, SimpleNamespace(causes=[cause], gap=SimpleNamespace(after=after))) for after in afters]
 
-    assert _explained_by_load(told(5.1, 19.0), [0, 1]) < _explained_by_load(told(4.1, 7.7), [0, 1])
-    assert _explained_by_load(told(0.1, 0.1, effect="bias"), [0, 1]) < _explained_by_load(
-        told(9.0, 9.0), [0, 1]
+    assert _explained_by_load(loaded(5.1, 19.0), [0, 1]) < _explained_by_load(loaded(4.1, 7.7), [0, 1])
+    assert _explained_by_load(loaded(0.1, 0.1, effect="bias"), [0, 1]) < _explained_by_load(
+        loaded(9.0, 9.0), [0, 1]
     )
 
 

@@ -20,9 +20,9 @@ def difference():
 
 
 @pytest.fixture(scope="module")
-def found(difference):
-    said = []
-    return find_places(difference, np.random.default_rng(0), note=said.append), said
+def places_and_notes(difference):
+    notes = []
+    return find_places(difference, np.random.default_rng(0), note=notes.append), notes
 
 
 def test_the_model_gives_the_simulated_extremes_that_the_source_prints(difference):
@@ -31,20 +31,20 @@ def test_the_model_gives_the_simulated_extremes_that_the_source_prints(differenc
     assert simulated[:, 1] == pytest.approx([-0.04, -0.14, -0.23, -0.24], abs=0.005)
 
 
-def test_the_gap_is_in_the_recovery_stroke_once_buckling_starts(found):
-    places, _ = found
-    best = next(one for one in places if one.at == "recovery_stroke | buckling = one side")
+def test_the_gap_is_in_the_recovery_stroke_once_buckling_starts(places_and_notes):
+    places, _ = places_and_notes
+    best = next(part for part in places if part.at == "recovery_stroke | buckling = one side")
     # as printed it is (0.10^2 + 0.12^2) of (0.01^2 + 0.10^2 + 0.02^2 + 0.12^2 + 0.02^2)
     assert best.share == pytest.approx(0.0244 / 0.0253, abs=0.02)
     assert best.p <= 0.05
 
 
-def test_gap_and_noise_are_said_not_to_be_separable(found):
-    assert any("Nothing was repeated" in one for one in found[1])
+def test_gap_and_noise_are_said_not_to_be_separable(places_and_notes):
+    assert any("Nothing was repeated" in note for note in places_and_notes[1])
 
 
-def test_only_channels_and_conditions_are_places_of_single_values(found):
-    assert {one.by for one in found[0]} == {"channel", "condition"}
+def test_only_channels_and_conditions_are_places_of_single_values(places_and_notes):
+    assert {part.by for part in places_and_notes[0]} == {"channel", "condition"}
 
 
 def test_no_force_over_time_is_told_of_single_values(difference):
