@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from labrun.app.diagnose_robot import diagnose_joints, robot_of
+from labrun.app.logs import LogAnswers, import_log
 from labrun.app.other_fits import read_fit
 from labrun.app.question import ask
 from labrun.fit import Note, silent
 from labrun.gap import OtherFit, judge_fit
 from labrun.report import other_fit_lines
-from labrun.store import find_data
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +32,10 @@ class CheckedFit:
 
 def check_fit(
     result: Path,
-    target: str | Path,
+    log: Sequence[Path],
+    robot_file: Path,
     *,
+    answers: LogAnswers | None = None,
     withhold: Sequence[str] = (),
     within_s: float | None = None,
     seed: int | None = None,
@@ -47,15 +49,19 @@ def check_fit(
     ----------
     result
         The other tool's file, see `labrun.app.other_fits.read_fit`.
-    target
-        A recording folder that `import_log` made of the robot's log.
+    log
+        The robot's logs, which become a recording.
+    robot_file
+        Its MJCF or URDF file.
+    answers
+        What a person said of the logs.
 
     Raises
     ------
     RequestError
         The file holds nothing of the robot, or the robot cannot be taken apart into its joints.
     """
-    folder = find_data(target, Path(results))
+    folder = import_log(log, robot_file, answers=answers).folder
     question = ask(folder, None)
     robot = robot_of(folder, question.dataset)
     values = read_fit(result, robot)  # before minutes of computing

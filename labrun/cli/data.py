@@ -82,6 +82,7 @@ def export(
     typer.echo(f"wrote {written}")
 
 
+@options.with_log_options
 def import_(
     sources: Annotated[
         list[Path],
@@ -104,16 +105,7 @@ def import_(
             "--dry-run", help="Of a log: show what would be read, and what is in doubt; write nothing."
         ),
     ] = False,
-    mapping: options.Mapping = None,
-    unit: options.Unit = None,
-    zero: options.Zero = None,
-    publisher: options.Publisher = None,
-    time: options.TimeColumn = None,
-    time_unit: options.TimeUnit = None,
-    stamps: options.Stamps = None,
-    cut: options.Cut = None,
-    rate: options.Rate = None,
-    repair: options.Repair = False,
+    log_answers: options.LogAnswersGiven = options.log_answers,
     results: options.Results = options.RESULTS,
     as_json: options.Json = False,
 ) -> None:
@@ -134,9 +126,7 @@ def import_(
         with reported(as_json):
             from labrun.app.logs import import_log, preview_log
 
-            answers = options.log_answers(
-                mapping, unit, zero, publisher, time, time_unit, stamps, cut, rate, repair
-            )
+            answers = log_answers()
             made = (
                 preview_log(paths, model, answers=answers)
                 if dry_run

@@ -79,6 +79,7 @@ def _sizes(given: Sequence[str]) -> dict[str, float]:
         ) from None
 
 
+@options.with_log_options
 def diagnose(
     target: options.TargetOrRobot,
     model: Model = None,
@@ -88,16 +89,7 @@ def diagnose(
             help="A robot's log: TARGET is then its MJCF or URDF file. What `labrun import` reads; repeatable."
         ),
     ] = None,
-    mapping: options.Mapping = None,
-    unit: options.Unit = None,
-    zero: options.Zero = None,
-    publisher: options.Publisher = None,
-    time: options.TimeColumn = None,
-    time_unit: options.TimeUnit = None,
-    stamps: options.Stamps = None,
-    cut: options.Cut = None,
-    rate: options.Rate = None,
-    repair: options.Repair = False,
+    log_answers: options.LogAnswersGiven = options.log_answers,
     anyway: Annotated[
         bool,
         typer.Option(
@@ -163,10 +155,7 @@ def diagnose(
         if log:
             from labrun.app.logs import import_log
 
-            answers = options.log_answers(
-                mapping, unit, zero, publisher, time, time_unit, stamps, cut, rate, repair
-            )
-            made = import_log(log, target, answers=answers)
+            made = import_log(log, target, answers=log_answers())
             target = str(made.folder)
             if not as_json:
                 typer.echo(made.to_text(), err=True)
@@ -398,6 +387,7 @@ def export(
         print_result(made, as_json)
 
 
+@options.with_log_options
 def check_fit(
     result: Annotated[
         Path,
@@ -412,16 +402,7 @@ def check_fit(
         Path, typer.Option("--model", help="The robot's MJCF or URDF file.", exists=True, dir_okay=False)
     ],
     log: Annotated[list[Path], typer.Option(help="The log that was fitted, or another one; repeatable.")],
-    mapping: options.Mapping = None,
-    unit: options.Unit = None,
-    zero: options.Zero = None,
-    publisher: options.Publisher = None,
-    time: options.TimeColumn = None,
-    time_unit: options.TimeUnit = None,
-    stamps: options.Stamps = None,
-    cut: options.Cut = None,
-    rate: options.Rate = None,
-    repair: options.Repair = False,
+    log_answers: options.LogAnswersGiven = options.log_answers,
     within: Annotated[
         str | None,
         typer.Option(
@@ -443,16 +424,11 @@ def check_fit(
     """
     with reported(as_json):
         from labrun.app.check_fit import check_fit as check_result
-        from labrun.app.logs import import_log
 
-        answers = options.log_answers(
-            mapping, unit, zero, publisher, time, time_unit, stamps, cut, rate, repair
-        )
-        folder = import_log(log, str(robot), answers=answers).folder
         with status() as note:
             checked = check_result(
-                result, folder, within_s=options.seconds(within), seed=seed, workers=workers, results=results,
-                note=note,
+                result, log, robot, answers=log_answers(), within_s=options.seconds(within), seed=seed,
+                workers=workers, results=results, note=note,
             )  # fmt: skip
         print_result(checked, as_json)
 

@@ -1,7 +1,10 @@
 """Arguments and options that several commands share, with their shell completion."""
 
+from collections.abc import Callable
+from functools import partial, wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -158,18 +161,18 @@ Rate = Annotated[
 
 
 def log_answers(
-    mapping: list[str] | None,
-    unit: list[str] | None,
-    zero: list[str] | None,
-    publisher: list[str] | None,
-    time: list[str] | None,
-    time_unit: str | None,
-    stamps: str | None,
-    cut: str | None,
-    rate: float | None,
-    repair: bool,
+    mapping: Mapping = None,
+    unit: Unit = None,
+    zero: Zero = None,
+    publisher: Publisher = None,
+    time: TimeColumn = None,
+    time_unit: TimeUnit = None,
+    stamps: Stamps = None,
+    cut: Cut = None,
+    rate: Rate = None,
+    repair: Repair = False,
 ) -> "LogAnswers":
-    """Return what was said of a log on the command line."""
+    """Return what was said of a log on the command line; these are the options of every command that reads one."""
     from labrun.app.logs import LogAnswers
 
     return LogAnswers(
@@ -184,6 +187,29 @@ def log_answers(
         seconds(cut),
         repair,
     )
+
+
+LogAnswersGiven = Callable[..., "LogAnswers"]
+
+
+def with_log_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of `log_answers` in the place of its parameter of that name.
+
+    The command gets a function without parameters there, which returns the answers, or raises RequestError.
+    """
+    flags = signature(log_answers).parameters
+    parameters: list[Parameter] = []
+    for parameter in signature(command).parameters.values():
+        parameters += flags.values() if parameter.name == "log_answers" else [parameter]
+
+    @wraps(command)
+    def called(**given: Any) -> None:
+        chosen = {name: given.pop(name) for name in flags}
+        command(**given, log_answers=partial(log_answers, **chosen))
+
+    called.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    called.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return called
 
 
 def seconds(text: str | None) -> float | None:

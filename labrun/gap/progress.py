@@ -18,6 +18,28 @@ class TimeOver(Exception):  # noqa: N818 - an event that ends a search with its 
     """The time that a search was given is over."""
 
 
+class Count:
+    """How many of some items are done, and about how long the others take.
+
+    Parameters
+    ----------
+    total
+        Number of items.
+    """
+
+    def __init__(self, total: int) -> None:
+        self.total, self.done = total, 0
+        self._start_s = time.perf_counter()
+
+    @property
+    def time_left(self) -> str:
+        """Return "about 12 s left"; "" before the first item is done, and after the last."""
+        if not 0 < self.done < self.total:
+            return ""
+        left_s = (time.perf_counter() - self._start_s) / self.done * (self.total - self.done)
+        return f"about {left_s:.0f} s left"
+
+
 class Progress:
     """Reports how much of a step is done, and raises `TimeOver` at the deadline.
 
@@ -39,20 +61,20 @@ class Progress:
     ) -> list[Result]:
         """Return what `work` gives for every item, reporting "`step`: 3 of 40, about 12 s left"."""
         items = list(items)
-        began, lock = time.perf_counter(), threading.Lock()
-        done, reported = 0, began
+        count, lock = Count(len(items)), threading.Lock()
+        reported = time.perf_counter()
 
         def counted(item: Argument) -> Result:
-            nonlocal done, reported
+            nonlocal reported
             self.check()
             result = work(item)
             with lock:
-                done += 1
+                count.done += 1
                 now = time.perf_counter()
                 if now - reported >= _EVERY_S:
                     reported = now
-                    remaining_s = (now - began) / done * (len(items) - done)
-                    self.note(f"{step}: {done} of {len(items)}, about {remaining_s:.0f} s left in this step")
+                    left = f", {count.time_left} in this step" if count.time_left else ""
+                    self.note(f"{step}: {count.done} of {count.total}{left}")
             return result
 
         if len(items) > 1:

@@ -1,8 +1,9 @@
 """A robot's joints one by one: each as a model of its own, the motion of the others prescribed as it was measured."""
 
+from labrun.gap.robot.correction_choice import Written
 from labrun.gap.robot.diagnose import diagnose_robot
 from labrun.gap.robot.diagnosis import JointDiagnosis, RobotDiagnosis
-from labrun.gap.robot.file_check import CheckedJoint, FileCheck, Written, check_file
+from labrun.gap.robot.file_check import CheckedJoint, FileCheck, check_file
 from labrun.gap.robot.one_joint import why_not
 from labrun.gap.robot.other_fit import FittedValue, JudgedJoint, JudgedValue, OtherFit, Quantity, judge_fit
 from labrun.gap.robot.ranges import parameter_ranges

@@ -35,13 +35,13 @@ def common_lead(prescribed: Prescribed, rng: np.random.Generator) -> float:
     middle = float(np.median(alone[speaking]))
     room = np.maximum(criteria.CLOCK_TOLD * deviations, criteria.CLOCK_ALIKE * abs(middle))
     asked = deviations < abs(middle) / criteria.CLOCK_TOLD
-    message = asked & (np.abs(alone - middle) <= room)
-    if message.sum() < max(criteria.CLOCK_JOINTS, criteria.CLOCK_AGREED * asked.sum()):
+    agreeing = asked & (np.abs(alone - middle) <= room)
+    if agreeing.sum() < max(criteria.CLOCK_JOINTS, criteria.CLOCK_AGREED * asked.sum()):
         return 0.0
-    lead_s = float(np.average(alone[message], weights=1.0 / np.square(deviations[message])))
+    lead_s = float(np.average(alone[agreeing], weights=1.0 / np.square(deviations[agreeing])))
     if abs(lead_s) < criteria.CLOCK_LEAST * prescribed.sample_s:
         return 0.0
-    return lead_s + _left_over(prescribed.led(lead_s), np.flatnonzero(message), rng)
+    return lead_s + _left_over(prescribed.led(lead_s), np.flatnonzero(agreeing), rng)
 
 
 def _alone(prescribed: Prescribed) -> tuple[FloatArray, FloatArray]:
@@ -79,17 +79,17 @@ def _alone(prescribed: Prescribed) -> tuple[FloatArray, FloatArray]:
     return np.array(leads), np.array(deviations)
 
 
-def _left_over(prescribed: Prescribed, places: Iterable[int], rng: np.random.Generator) -> float:
+def _left_over(prescribed: Prescribed, joint_indices: Iterable[int], rng: np.random.Generator) -> float:
     """Return what is missing of a time, from joints simulated with their parameters recalibrated.
 
     Smoothing bends what inverse dynamics says of it, simulations do not. Each joint counts in units of what is left
     at it.
     """
     along, weight = 0.0, 0.0
-    for location in places:
+    for index in joint_indices:
         joint, later = (
-            one_joint(prescribed, int(location)),
-            one_joint(prescribed.led(prescribed.lead_s + _NUDGE_S), int(location)),
+            one_joint(prescribed, int(index)),
+            one_joint(prescribed.led(prescribed.lead_s + _NUDGE_S), int(index)),
         )
         try:
             fitted = recalibrate(joint.model, averaged(joint.dataset, joint.model), rng, silent)

@@ -12,6 +12,7 @@ from labrun.fit import Dataset, Note, silent
 from labrun.gap import criteria, numerics
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis
+from labrun.gap.progress import Count
 from labrun.gap.robot.clock import common_lead
 from labrun.gap.robot.diagnosis import OF_THE_WHOLE, OfTheWhole, RobotDiagnosis
 from labrun.gap.robot.links import links_that_explain
@@ -126,7 +127,7 @@ def diagnose_robot(
 
 def _looked(
     dynamics: Prescribed,
-    places: Sequence[int],
+    joint_indices: Sequence[int],
     options: Options,
     there: Pool | None,
     note: Note,
@@ -134,11 +135,11 @@ def _looked(
     finished: Finished = _ignored,
 ) -> list[tuple[OneJoint, Diagnosis]]:
     """Diagnose joints, on processes if there are some; the answers are the same and come in the joints' order."""
-    if not places:
+    if not joint_indices:
         return []
-    joints = {location: one_joint(dynamics, location) for location in places}
+    joints = {index: one_joint(dynamics, index) for index in joint_indices}
     # the time that is left is shared by the joints that wait for one another
-    left_s = max(deadline_s - time.perf_counter(), 0.0) * max(options.workers, 1) / len(places)
+    left_s = max(deadline_s - time.perf_counter(), 0.0) * max(options.workers, 1) / len(joints)
     drawn = dynamics.redrawn(np.random.default_rng(options.seed))
     least = {index: _least_gap(joint, one_joint(drawn, index)) for index, joint in joints.items()}
     asked = {
@@ -152,32 +153,30 @@ def _looked(
         for index, gap in least.items()
     }
     answers: dict[int, Diagnosis] = {}
-    began = time.perf_counter()
+    count = Count(len(joints))
 
-    def announce(text: str) -> None:
-        rest = len(joints) - len(answers)
-        left = ""
-        if answers and rest:
-            left = f", about {(time.perf_counter() - began) / len(answers) * rest:.0f} s left"
-        note(f"{len(answers)} of {len(joints)} joints done{left}{text}")
+    def report(text: str) -> None:
+        left = f", {count.time_left}" if count.time_left else ""
+        note(f"{count.done} of {count.total} joints done{left}{text}")
 
     def here() -> Iterator[tuple[int, Diagnosis]]:
         for index, joint in joints.items():
             yield (
                 index,
-                diagnose_dataset(joint.dataset, joint.model, asked[index], note=_about(joint, announce)),
+                diagnose_dataset(joint.dataset, joint.model, asked[index], note=_about(joint, report)),
             )
 
     jobs = (
         (index, diagnose_dataset, (joint.dataset, joint.model, asked[index]))
         for index, joint in joints.items()
     )
-    announce("")
+    report("")
     for index, answer in here() if there is None else spread(there, jobs):
         answers[index] = _announced(answer, least[index], dynamics.own.step_s)
         causes = " and ".join(cause.name.words for cause in answers[index].causes)
         finished(joints[index].joint.name, answers[index])
-        announce(f"; {joints[index].joint.name}: {causes or answers[index].verdict}")
+        count.done += 1
+        report(f"; {joints[index].joint.name}: {causes or answers[index].verdict}")
     return [(joint, answers[index]) for index, joint in joints.items()]
 
 
@@ -302,9 +301,9 @@ def _explained_by_load(
     at: Sequence[int],
 ) -> tuple[int, float]:
     """Return at how many of some joints a load, and nothing else, explains what they lack; and minus what it leaves."""
-    message = [answers[index][1] for index in at]
-    loaded = sum([cause.name.effect for cause in answer.causes] == ["payload"] for answer in message)
-    return loaded, -sum(answer.gap.after**2 for answer in message)
+    asked = [answers[index][1] for index in at]
+    loaded = sum([cause.name.effect for cause in answer.causes] == ["payload"] for answer in asked)
+    return loaded, -sum(answer.gap.after**2 for answer in asked)
 
 
 def _that_others_may_explain(

@@ -32,8 +32,8 @@ def beside_encoders(
 
     Of every joint the causes and the parameters beside them are given.
     """
-    message = {index: _beside(prescribed, index, *answer) for index, answer in enumerate(answers)}
-    return {name: by for name, by in message.items() if by}
+    courses = {index: _beside(prescribed, index, *answer) for index, answer in enumerate(answers)}
+    return {index: course for index, course in courses.items() if course}
 
 
 def _beside(
@@ -81,9 +81,9 @@ def links_that_explain(prescribed: Prescribed, lacking: Sequence[int], seed: int
     known: Links = {}
     if len(lacking) < 2:
         return known
-    alone = {joint_index: one_joint(prescribed, joint_index) for joint_index in lacking}
-    fitted = {name: _recalibrated(fit, seed) for name, fit in alone.items()}
-    had = {name: _gap(fit) for name, fit in fitted.items()}
+    alone = {index: one_joint(prescribed, index) for index in lacking}
+    fitted = {index: _recalibrated(joint, seed) for index, joint in alone.items()}
+    had = {index: _gap(fit) for index, fit in fitted.items()}
     asked = [
         (index, by)
         for index in lacking

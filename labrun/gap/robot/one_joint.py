@@ -114,10 +114,10 @@ class Prescribed:
         if drive is None or drive.command not in ("torque", "geared"):
             return None
         column = [signal.name for signal in self.dataset.inputs].index(drive.input)
-        message = np.concatenate([trial.inputs[:, column] for trial in self.dataset.trials])
+        logged = np.concatenate([trial.inputs[:, column] for trial in self.dataset.trials])
         gains = self.own.drives[joint.name]
         low, high = np.sort(np.array(gains.limits) / gains.gear) if gains.gear else (0.0, 0.0)
-        return drive if low < message.min() and message.max() < high else None
+        return drive if low < logged.min() and logged.max() < high else None
 
     def on_base(self, roll: float, pitch: float) -> "Prescribed":
         """Return the same with a base that is tilted by these angles (rad)."""
@@ -162,14 +162,14 @@ class Prescribed:
         terms = tuple(replace(term, load=part) for term, part in zip(self.terms, parts, strict=True))
         return replace(self, terms=terms)
 
-    def with_links(self, link_torques: Mapping[int, Sequence[FloatArray]]) -> "Prescribed":
+    def with_links(self, beside: Mapping[int, Sequence[FloatArray]]) -> "Prescribed":
         """Return the same with joints that stand beside what was measured of them, by place and trial, by so much."""
-        if not link_torques:
+        if not beside:
             return self
         links = [np.zeros((len(trial.time_s), len(self.robot.joints))) for trial in self.dataset.trials]
-        for name, by in link_torques.items():
-            for of_trial, course in zip(links, by, strict=True):
-                of_trial[:, name] = course
+        for joint_index, courses in beside.items():
+            for of_trial, course in zip(links, courses, strict=True):
+                of_trial[:, joint_index] = course
         pairs = zip(self.dataset.trials, links, strict=True)
         moved = self._measured([trial.outputs[:, self._columns] + by for trial, by in pairs])
         return replace(moved, around=(), links=tuple(links))
@@ -178,7 +178,7 @@ class Prescribed:
         """Return what would be prescribed if this motion were the true one, measured again with the same noise."""
         measured = [trial.outputs[:, self._columns] for trial in self.dataset.trials]
         if self.links:
-            measured = [torque + by for torque, by in zip(measured, self.links, strict=True)]
+            measured = [angle + by for angle, by in zip(measured, self.links, strict=True)]
         smooth = [q for q, _, _ in self.motions]
         left = np.concatenate(measured) - np.concatenate(smooth)
         noise = np.sqrt(np.mean(np.square(left), axis=0))
@@ -256,30 +256,30 @@ def _parts(terms: Carried, lengths: Sequence[int]) -> Iterator[Carried]:
         first += length
 
 
-def one_joint(joint_index: Prescribed, index: int) -> OneJoint:
+def one_joint(dynamics: Prescribed, index: int) -> OneJoint:
     """Return the model of a joint, and the trials as it sees them."""
-    joint = joint_index.robot.joints[index]
-    drive = joint_index.drive(joint)
-    torque = np.concatenate([term.torque[:, index] for term in joint_index.terms])
-    inertia = np.concatenate([term.inertia[:, index] for term in joint_index.terms])
-    acceleration = np.concatenate([motion[2][:, index] for motion in joint_index.motions])
+    joint = dynamics.robot.joints[index]
+    drive = dynamics.drive(joint)
+    torque = np.concatenate([term.torque[:, index] for term in dynamics.terms])
+    inertia = np.concatenate([term.inertia[:, index] for term in dynamics.terms])
+    acceleration = np.concatenate([motion[2][:, index] for motion in dynamics.motions])
     shares = np.sqrt(np.mean((torque + inertia * acceleration[:, None]) ** 2, axis=0))
     total = float(np.sqrt(np.mean(np.sum(torque + inertia * acceleration[:, None], axis=1) ** 2)))
     own = [k for k, share in enumerate(shares) if share > criteria.LEAST_TORQUE * total]
     rest = [k for k in range(len(shares)) if k not in own]
     tilted = bool(
-        max(float(np.ptp(term.tilt[:, index])) for term in joint_index.terms) > criteria.LEAST_TORQUE * total
+        max(float(np.ptp(term.tilt[:, index])) for term in dynamics.terms) > criteria.LEAST_TORQUE * total
     )
-    loaded = bool(max(float(np.ptp(term.load[:, index])) for term in joint_index.terms) > 0)
-    bodies = [joint_index.terms[0].bodies[k] for k in own]
-    text = "\n".join(_lines(joint_index, index, joint, drive, bodies, tilted=tilted, loaded=loaded))
-    model = parse_model(text, f"{joint_index.robot.name}: {joint.name}")
-    if drive is not None and joint_index.lead_s and model.states:
-        model = model.with_effects([joint_index.clock_at(drive.input)])
+    loaded = bool(max(float(np.ptp(term.load[:, index])) for term in dynamics.terms) > 0)
+    bodies = [dynamics.terms[0].bodies[k] for k in own]
+    text = "\n".join(_lines(dynamics, index, joint, drive, bodies, tilted=tilted, loaded=loaded))
+    model = parse_model(text, f"{dynamics.robot.name}: {joint.name}")
+    if drive is not None and dynamics.lead_s and model.states:
+        model = model.with_effects([dynamics.clock_at(drive.input)])
     return OneJoint(
         joint,
         model,
-        _dataset(joint_index, index, joint, drive, own, rest, model, tilted=tilted, loaded=loaded),
+        _dataset(dynamics, index, joint, drive, own, rest, model, tilted=tilted, loaded=loaded),
     )
 
 
@@ -293,8 +293,8 @@ def _dataset(
     goal = [signal.name for signal in data.inputs].index(drive.input) if drive else None
     by_torque = not model.states
     trials, start_s = [], 0.0
-    message = [tuple(sorted(trial.condition.items())) for trial in data.trials]
-    in_row = len(set(message)) == len(message)
+    conditions = [tuple(sorted(trial.condition.items())) for trial in data.trials]
+    in_row = len(set(conditions)) == len(conditions)
     around = dynamics.around or tuple(np.zeros_like(q) for q, _, _ in dynamics.motions)
     every = zip(data.trials, dynamics.motions, dynamics.terms, around, strict=True)
     for number, (trial, (q, rate, acceleration), terms, more) in enumerate(every):

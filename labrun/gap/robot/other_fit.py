@@ -11,7 +11,8 @@ from labrun.effects import AttachedEffect, SiteKind, load_effect
 from labrun.fit import Dataset, Note, silent
 from labrun.gap import decide
 from labrun.gap.diagnosis import Name
-from labrun.gap.robot.file_check import FileCheck, Pieces, Written, check_file
+from labrun.gap.robot.correction_choice import Written
+from labrun.gap.robot.file_check import withheld_check
 from labrun.models import Model, Robot, identifier, robot_terms
 
 Quantity = Literal["armature", "damping", "frictionloss", "stiffness", "kp", "delay", "mass"]
@@ -88,8 +89,8 @@ class JudgedJoint:
     Attributes
     ----------
     stated, fitted, corrected
-        By the robot's file, by the other tool's numbers, and by what the diagnosis says, the last on parts of the log
-        that its fit has not seen.
+        By the robot's file, by the other tool's numbers, and by what the diagnosis says, each part of the log by a fit
+        that has not seen it. What the other tool has seen is not known: it may have been fitted to all of the log.
     """
 
     joint: str
@@ -148,12 +149,8 @@ def judge_fit(
     RequestError, FitError
         A robot or data that are not those of the diagnosis.
     """
-    check = (
-        FileCheck.from_json(diagnosis["file_check"])
-        if "file_check" in diagnosis
-        else check_file(robot, model, dataset, diagnosis, note=note)
-    )
-    pieces = Pieces.of(robot, dataset, diagnosis)
+    withheld = withheld_check(robot, model, dataset, diagnosis, note=note)
+    pieces, correction = withheld.pieces, withheld.check.model
     stated = _stated(robot, model)
     usable = [each for each in values if _applied(robot, model, stated, [each]) is not None]
     note("simulating the robot with the numbers of the other fit")
@@ -164,9 +161,8 @@ def judge_fit(
         return pieces.errors(pieces.by_mujoco, [changed] * pieces.folds)
 
     before, fitted = errors([]), errors(usable)
-    corrected_model = [model.with_values(check.model.values).with_effects(check.model.effects)] * pieces.folds
-    corrected = pieces.errors(pieces.by_labrun, corrected_model)
-    logs = [pieces.log_errors(each) for each in (before, fitted, corrected)]
+    squares = (before, fitted, withheld.errors)
+    logs = [pieces.log_errors(square) for square in squares]
     names = [joint.name for joint in robot.joints]
     better = {
         name: decide.beats(logs[2][index], logs[1][index], pieces.strata) for index, name in enumerate(names)
@@ -181,15 +177,15 @@ def judge_fit(
             continue
         without = errors([other for other in usable if other is not each])
         after = pieces.log_errors(without)
-        places = [names.index(each.element)] if each.element in names else range(len(names))
-        asked = any(decide.beats(logs[1][location], after[location], pieces.strata) for location in places)
-        instead = _instead(each, known, robot, check, diagnosis) if _any(better, each, names) else ""
+        joints_asked = [names.index(each.element)] if each.element in names else range(len(names))
+        asked = any(decide.beats(logs[1][index], after[index], pieces.strata) for index in joints_asked)
+        instead = _instead(each, known, robot, correction, diagnosis) if _any(better, each, names) else ""
         judgement: Judgement = "stands in" if instead else "holds" if asked else "not asked for"
-        error = float(pieces.rms(without)[places[0]]) if each.element in names else float("nan")
+        error = float(pieces.rms(without)[joints_asked[0]]) if each.element in names else float("nan")
         judged.append(JudgedValue(each, known, judgement, instead, error))
-    rms = [pieces.rms(each) for each in (before, fitted, corrected)]
+    rms = [pieces.rms(square) for square in squares]
     joints = tuple(
-        JudgedJoint(joint.name, joint.unit, *(float(each[index]) for each in rms))
+        JudgedJoint(joint.name, joint.unit, *(float(error[index]) for error in rms))
         for index, joint in enumerate(robot.joints)
     )
     return OtherFit(joints, tuple(judged))
@@ -200,38 +196,38 @@ def _any(better: Mapping[str, bool], value: FittedValue, names: Sequence[str]) -
 
 
 def _instead(
-    value: FittedValue, stated: float | None, robot: Robot, check: FileCheck, diagnosis: Mapping[str, Any]
+    value: FittedValue, stated: float | None, robot: Robot, correction: Written, diagnosis: Mapping[str, Any]
 ) -> str:
     """Return the causes of its joint that a number stands in for, where their correction takes the number back."""
     outputs = {joint.name: joint.output for joint in robot.joints}
-    message = []
+    causes = []
     for joint in diagnosis["joints"]:
         if value.quantity != "mass" and joint["joint"] != value.element:
             continue
-        message += [
-            str(Name(cause["effect"], cause["site"], cause["kind"]).words)
+        causes += [
+            Name(cause["effect"], cause["site"], cause["kind"]).words
             for cause in joint["diagnosis"]["causes"]
             if not _is_the_same(value, cause, outputs)
         ]
-    message += [
+    causes += [
         entry["effect"].replace("-", " ")
         for entry in diagnosis["whole"]
         if entry["effect"] != _EFFECT.get(value.quantity)
     ]
-    if not message:
+    if not causes:
         return ""
-    now = check.model.values.get(_parameter(robot, value), stated)
+    now = correction.values.get(_parameter(robot, value), stated)
     if value.quantity in _EFFECT:
         sizes = {
             effect.site: effect.values[0]
-            for effect in check.model.effects
+            for effect in correction.effects
             if effect.effect.id == _EFFECT[value.quantity]
         }
         now = (stated or 0.0) + sizes.get(_site(robot, value), 0.0)
     if now is None or stated is None:
         return ""
     kept = abs(value.value - now) <= _NEARER * abs(value.value - stated)
-    return "" if kept else " and ".join(dict.fromkeys(message))
+    return "" if kept else " and ".join(dict.fromkeys(causes))
 
 
 _EFFECT: Mapping[str, str] = {"frictionloss": "coulomb-friction", "delay": "delay"}
@@ -307,8 +303,5 @@ def _applied(
 
 
 def _attached(name: str, kind: SiteKind, site: str, sizes: Mapping[str, float]) -> AttachedEffect:
-    effect = load_effect(name, kind)
-    held = {"transition_speed": 0.003}
-    return AttachedEffect(
-        effect, site, tuple(sizes.get(each.name, held.get(each.name, 0.0)) for each in effect.parameters)
-    )
+    """Return an effect with these sizes; MJCF, which simulates it, has no word for its other parameters."""
+    return load_effect(name, kind).attach(site, **sizes)

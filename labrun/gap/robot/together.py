@@ -1,7 +1,7 @@
 """All that was found at single joints, in the model of the whole robot, which is simulated beside the log."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -72,11 +72,11 @@ def together(
             f"{', '.join(fall)}: driven by the torque that was logged; nothing holds the whole robot there, so that "
             "its simulation drifts from the log, and how far says little"
         )
-    message: dict[str, list[float]] = {}
+    recalibrations: dict[str, list[float]] = {}
     for _, answer in answers:
         for name, (_, _, value) in answer.recalibration.items():
-            message.setdefault(name, []).append(value)
-    agreed = {name: float(np.median(values)) for name, values in message.items()}
+            recalibrations.setdefault(name, []).append(value)
+    agreed = {name: float(np.median(values)) for name, values in recalibrations.items()}
     joints = tuple(
         JointDiagnosis(
             joint.joint, answer, float(before[index]), float(after[index]), float(last[index]), agreed
@@ -91,25 +91,42 @@ def together(
 
 def _values(model: Model, answers: Sequence[tuple[OneJoint, Diagnosis]], *, after: bool) -> dict[str, float]:
     """Return the parameters of the whole robot: a joint's own from that joint, a mass as the mean over joints."""
+    of_joints = []
+    for _, answer in answers:
+        stated = {name: value for name, (value, _, _) in answer.recalibration.items()}
+        values = {name: value for name, (_, _, value) in answer.recalibration.items()}
+        values |= answer.corrected if after else {}
+        of_joints.append(with_rate_gain_as_damping(values, stated))
+    return parameters_of_robot(model, of_joints)
+
+
+def parameters_of_robot(model: Model, of_joints: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    """Return the parameters of the whole robot from those of its joints, each modelled by itself.
+
+    A mass, of which joints have the ratio to what is stated, is the mean over the joints that have it.
+    """
     stated = {parameter.name: parameter.value for parameter in model.parameters}
-    message: dict[str, list[float]] = {}
-    for joint, answer in answers:
-        every = {name: value for name, (_, _, value) in answer.recalibration.items()}
-        every |= answer.corrected if after else {}
-        _into_damping(joint.joint.output, every, answer)
-        for name, value in every.items():
+    collected: dict[str, list[float]] = {}
+    for values in of_joints:
+        for name, value in values.items():
             if name in stated:
-                message[name] = [value]
+                collected[name] = [value]
             elif (mass := name.removesuffix("_ratio")) in stated:
-                message.setdefault(mass, []).append(value * stated[mass])
-    return {name: float(np.mean(values)) for name, values in message.items()}
+                collected.setdefault(mass, []).append(value * stated[mass])
+    return {name: float(np.mean(values)) for name, values in collected.items()}
 
 
-def _into_damping(joint: str, values: dict[str, float], answer: Diagnosis) -> None:
-    """Give the joint's damping what its servo's rate gain changed by: the whole robot has the sum in one place."""
-    damping = f"{joint}_damping"
-    for name in [name for name in values if name.endswith("_kv")]:
-        values[damping] = max(values[damping] + values.pop(name) - answer.recalibration[name][0], 0.0)
+def with_rate_gain_as_damping(values: Mapping[str, float], stated: Mapping[str, float]) -> dict[str, float]:
+    """Return a joint's parameters in which damping has what its servo's rate gain changed by.
+
+    The whole robot has their sum in one place.
+    """
+    sums = {name: value for name, value in values.items() if not name.endswith("_kv")}
+    damping = next((name for name in stated if name.endswith("_damping")), None)
+    for name in values:
+        if damping is not None and name not in sums:
+            sums[damping] = max(sums.get(damping, stated[damping]) + values[name] - stated[name], 0.0)
+    return sums
 
 
 def _errors(prescribed: Prescribed, model: Model) -> FloatArray:

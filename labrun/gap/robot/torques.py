@@ -90,15 +90,15 @@ def _effort(prescribed: Prescribed, joint_index: int, drive: RobotActuator, ahea
     """Return what the drive puts on its joint along the measured motion, goals read ahead, (n,)."""
     column = [signal.name for signal in prescribed.dataset.inputs].index(drive.input)
     gains = prescribed.own.drives[drive.joint]
-    messages = []
+    efforts = []
     for trial, (q, rate, _) in zip(prescribed.dataset.trials, prescribed.motions, strict=True):
         at_s = trial.time_s + ahead_s - prescribed.late_s(drive.input)
         goal = np.interp(at_s, trial.time_s, trial.inputs[:, column])
         if drive.command in ("torque", "geared"):
-            messages.append(gains.gear * goal)
+            efforts.append(gains.gear * goal)
         elif drive.command == "velocity":
-            messages.append(gains.kp * (goal - rate[:, joint_index]))
+            efforts.append(gains.kp * (goal - rate[:, joint_index]))
         else:
-            messages.append(gains.kp * (goal - q[:, joint_index]) - gains.kv * rate[:, joint_index])
-    exerted: FloatArray = np.clip(np.concatenate(messages), *gains.limits)
+            efforts.append(gains.kp * (goal - q[:, joint_index]) - gains.kv * rate[:, joint_index])
+    exerted: FloatArray = np.clip(np.concatenate(efforts), *gains.limits)
     return exerted

@@ -16,12 +16,12 @@ from labrun.fit.output_error import fit_model
 from labrun.gap import Options, diagnose_robot, parameter_ranges, why_not
 from labrun.gap.diagnose import diagnose_dataset
 from labrun.gap.motion import smoothed
+from labrun.gap.robot.as_diagnosed import as_diagnosed
 from labrun.gap.robot.diagnose import _announced, _explained_by_load, _looked, _smoothing_gap
 from labrun.gap.robot.diagnosis import JointDiagnosis, RobotDiagnosis
 from labrun.gap.robot.links import beside_encoders, links_that_explain
 from labrun.gap.robot.one_joint import Prescribed, one_joint, prescribed
-from labrun.gap.robot.ranges import as_diagnosed
-from labrun.gap.robot.together import _into_damping
+from labrun.gap.robot.together import with_rate_gain_as_damping
 from labrun.models import load_model, parse_model, read_robot, robot_table, simulate
 from labrun.store import SignalInfo
 
@@ -334,13 +334,13 @@ def test_what_cannot_be_taken_apart_is_told(tmp_path):
 
 
 def test_what_a_rate_gain_changed_by_goes_into_the_damping_of_the_whole_robot():
+    stated = {"elbow_damping": 0.4, "servo_kv": 2.0, "elbow_kp": 40.0}
     values = {"elbow_damping": 0.5, "servo_kv": 2.2, "elbow_kp": 40.0}
-
-    class Answer:
-        recalibration = {"servo_kv": (2.0, 0.1, 2.2)}  # noqa: RUF012
-
-    _into_damping("elbow", values, Answer())
-    assert values == {"elbow_damping": pytest.approx(0.7), "elbow_kp": 40.0}
+    assert with_rate_gain_as_damping(values, stated) == {
+        "elbow_damping": pytest.approx(0.7),
+        "elbow_kp": 40.0,
+    }
+    assert with_rate_gain_as_damping({"servo_kv": 2.2}, stated) == {"elbow_damping": pytest.approx(0.6)}
 
 
 def test_a_gain_that_alone_explains_a_joint_by_being_far_from_what_is_stated_is_told():
@@ -452,8 +452,7 @@ def test_ranges_are_fitted_with_the_base_the_load_and_the_clock_that_were_found(
             {"effect": "delay", "joints": ["elbow"], "values": {"time": 0.01}},
         ],
     )
-    answers = {joint["joint"]: joint["diagnosis"] for joint in message["joints"]}
-    around = as_diagnosed(result, message, answers)
+    around = as_diagnosed(result, message)
     assert around.lead_s == -0.01
     wanted = result.with_load_at(result.tip.torque(at)).on_base(0.1, -0.2).loaded(0.3).around
     np.testing.assert_allclose(np.concatenate(around.around), np.concatenate(wanted), atol=1e-5)
