@@ -56,6 +56,10 @@ _STILL = 0.05
 """A trial begins at rest if nothing is faster there than this share of its greatest speed."""
 
 
+_TORQUE_ROLES = frozenset({"torque", "torque-command", "current"})
+"""Roles of columns that tell the torque of a joint of which the file has no actuator."""
+
+
 @dataclass(frozen=True, slots=True)
 class LogAnswers:
     """What a person said of a log; each is the text of its flag.
@@ -330,7 +334,8 @@ def _read(paths: Sequence[Path], model: Path, answers: LogAnswers) -> _Reading:
         findings += [*doubts, *unused(pairs, log)]
     if robot:
         findings += _undriven(robot, streams, matches, asked)
-    matches, doubts = decide_units(matches, units)
+    torques_alone = robot is not None and robot.is_told_torques
+    matches, doubts = decide_units(matches, units, currents_stay=torques_alone)
     findings += doubts
     for index, pairs in enumerate(matches):
         pairs, clocks = align_clocks(pairs, _stamps(answers.stamps))  # noqa: PLW2901
@@ -428,7 +433,10 @@ def _model_files(reading: _Reading, model: Path) -> dict[str, str]:
         return {"model.toml": f'base = "{source}"\n'}
     measured = [table.wanted[index].channel for index in table.recorded("output")]
     start = "rest" if _at_rest(table, reading.trials) else "free"
-    text = robot_table(robot, xml_file="robot.xml", start=start, measured=measured)  # type: ignore[arg-type]
+    units = {wanted.channel: wanted.unit for wanted in table.wanted}
+    drives = [replace(drive, unit=units.get(drive.input, drive.unit)) for drive in robot.actuators]
+    logged = replace(robot, actuators=tuple(drives))
+    text = robot_table(logged, xml_file="robot.xml", start=start, measured=measured)  # type: ignore[arg-type]
     return {"robot.xml": robot.xml, "model.toml": f"# from {model.name}\n{text}"}
 
 
@@ -459,7 +467,7 @@ def _driven(path: Path, streams: Sequence[Stream], asked: Mapping[str, str], *, 
             drives[joint.name] = "torque"
         elif command not in (None, NOT) or ("command" in roles and command != NOT):
             drives[joint.name] = "position"
-        elif roles & {"torque", "torque-command"} and torque != NOT:
+        elif roles & _TORQUE_ROLES and torque != NOT:
             drives[joint.name] = "torque"
     return read_robot(path, drives, repair=repair) if drives else robot
 
@@ -477,7 +485,7 @@ def _undriven(
     findings: list[Finding] = []
     answered = {plain(name) for name in asked}
     kinds: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-        ("torque", "torque", ("torque", "torque-command")), ("goal of a servo", "command", ("command",)),
+        ("torque", "torque", tuple(_TORQUE_ROLES)), ("goal of a servo", "command", ("command",)),
     )  # fmt: skip
     for kind, suffix, roles in kinds:
         own = [(stream, column) for stream, column in pairs if column.role in roles]
@@ -501,7 +509,7 @@ def _undriven(
             f"--map {free[0]}_command={commands[0]} makes it the goal of a servo of unknown gains there"
         )
         findings.append(Statement(text))
-    unknown = [column.name for _, column in pairs if column.role in ("unknown", "current", "torque")]
+    unknown = [column.name for _, column in pairs if column.role in ("unknown", *_TORQUE_ROLES)]
     for output in free:
         near = next((name for name in unknown if plain(output) in plain(name)), None)
         if near is not None:

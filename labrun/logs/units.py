@@ -152,13 +152,18 @@ class _Joint:
 
 
 def decide_units(
-    logs: Sequence[Sequence[Match]], asked: AskedUnits
+    logs: Sequence[Sequence[Match]], asked: AskedUnits, *, currents_stay: bool = False
 ) -> tuple[list[list[Match]], list[Finding]]:
     """Return the matches of every log with their units and factors to SI, and what was found.
 
     What a person says counts first, then what the column states. What is open is decided with the ranges of all joints
     of all logs: whole numbers of a great range are ticks, angles beyond a turn degrees unless the joint whirls, others
     radians. What the ranges leave in doubt is asked.
+
+    Parameters
+    ----------
+    currents_stay
+        Whether the torque per ampere is found later: motor currents are then taken in amperes. Otherwise it is asked.
     """
     asked.require_known([match.wanted for matches in logs for match in matches])
     matches = [match for log in logs for match in log if match.column is not None]
@@ -188,7 +193,11 @@ def decide_units(
     hinges = [joint for joint in hinges if joint.name not in grippers]
     if hinges:
         units |= dict.fromkeys([joint.name for joint in hinges], _by_range(hinges, findings))
-    made = [[_converted(match, units, asked, findings) for match in log] for log in logs]
+    made = [
+        [_converted(match, units, asked, findings, currents_stay=currents_stay) for match in log]
+        for log in logs
+    ]
+    findings += _currents(made)
     return made, list(dict.fromkeys([*_summaries(made, asked), *findings]))
 
 
@@ -392,6 +401,8 @@ def _converted(
     units: Mapping[str, tuple[str, float | None, str]],
     asked: AskedUnits,
     findings: list[Finding],
+    *,
+    currents_stay: bool,
 ) -> Match:
     wanted, column = match.wanted, match.column
     if column is None:
@@ -415,7 +426,7 @@ def _converted(
             why = "as the log states" if column.unit else "as the angles of its joint"
             return replace(match, to_si=(math.pi / 180, 0.0), unit="deg/s", why=why)
     if wanted.unit in _TORQUES:
-        return _torque(match, asked, findings)
+        return _torque(match, asked, findings, currents_stay=currents_stay)
     return replace(
         match,
         unit=column.unit or wanted.unit,
@@ -446,8 +457,8 @@ def _angle_scale(
     return factor, offset if zero is None else -factor * zero, turn if wanted.unit == "rad" else None
 
 
-def _torque(match: Match, asked: AskedUnits, findings: list[Finding]) -> Match:
-    """Return a torque with its scale: amperes are none, and need the torque constant."""
+def _torque(match: Match, asked: AskedUnits, findings: list[Finding], *, currents_stay: bool) -> Match:
+    """Return a torque with its scale: amperes are none, and need the torque constant, or stay amperes."""
     wanted, column = match.wanted, match.column
     unit, size = asked.of(wanted) or ("", None)
     stated = unit or (column.unit if column is not None and column.unit in _TORQUE_UNITS else "")
@@ -455,7 +466,9 @@ def _torque(match: Match, asked: AskedUnits, findings: list[Finding]) -> Match:
         stated = "A"
     why = "as --unit says" if unit else "as the log states"
     if stated in ("A", "mA"):
-        if size is None:
+        if size is None and currents_stay:
+            wanted = replace(wanted, unit="A")
+        elif size is None:
             findings.append(
                 Question(
                     f"{wanted.channel}: {column.name if column else ''} is a current, and amperes are not N m",
@@ -465,11 +478,28 @@ def _torque(match: Match, asked: AskedUnits, findings: list[Finding]) -> Match:
                 )
             )
         return replace(
-            match, to_si=((1e-3 if stated == "mA" else 1.0) * (size or 1.0), 0.0), unit=stated, why=why
+            match,
+            wanted=wanted,
+            to_si=((1e-3 if stated == "mA" else 1.0) * (size or 1.0), 0.0),
+            unit=stated,
+            why=why,
         )
     if stated == "mN m":
         return replace(match, to_si=(1e-3, 0.0), unit=stated, why=why)
     return replace(match, unit=stated or wanted.unit, why=why if stated else "as nothing else is stated")
+
+
+def _currents(logs: Sequence[Sequence[Match]]) -> list[Finding]:
+    """Return which channels stay motor currents, and what becomes of them."""
+    names = dict.fromkeys(match.wanted.channel for log in logs for match in log if match.wanted.unit == "A")
+    if not names:
+        return []
+    return [
+        Statement(
+            f"motor currents, in amperes: {', '.join(names)}; the diagnosis finds the torque per ampere from the "
+            f"stated masses; --unit {next(iter(names))}=A:0.9 states it (N m per ampere at the joint, gear included)"
+        )
+    ]
 
 
 def _summaries(logs: Sequence[Sequence[Match]], asked: AskedUnits) -> list[Finding]:
@@ -493,7 +523,7 @@ def _summaries(logs: Sequence[Sequence[Match]], asked: AskedUnits) -> list[Findi
         Statement(f"{match.wanted.channel} is in {_WORDS[match.unit]}, {match.why}", match.wanted.channel)
         for log in logs
         for match in log
-        if match.unit in ("A", "mA", "mN m", "deg/s")
+        if match.unit in ("A", "mA", "mN m", "deg/s") and match.wanted.unit != "A"
     ]
     return findings
 

@@ -441,26 +441,21 @@ def test_a_folder_that_is_there_is_not_overwritten(tmp_path, arm):
         import_log(log, arm, tmp_path / "one")
 
 
-def test_a_column_of_a_joint_that_nothing_drives_is_told_with_what_makes_it_the_torque(tmp_path):
+def test_a_motor_current_drives_a_joint_without_an_actuator_and_stays_in_amperes(tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(URDF)
     time_s, goals, angles = logs.motion()
-    log = logs.write_csv(
-        tmp_path / "a.csv", time_s, goals[:, :1], angles[:, :1], ["t", "shoulder_current", "shoulder_pos"]
-    )
-    message = " ".join(import_log(log, urdf, tmp_path / "still").remarks)
-    assert "shoulder_current is not used" in message
-    assert "--map shoulder_torque=shoulder_current" in message
-    with pytest.raises(RequestError, match="amperes are not N m"):
-        import_log(log, urdf, tmp_path / "driven", mapping=["shoulder_torque=shoulder_current"])
-    made = import_log(
-        log,
-        urdf,
-        tmp_path / "driven",
-        mapping=["shoulder_torque=shoulder_current"],
-        unit="shoulder_torque=A:0.5",
-    )
-    assert dict(made.channels)["shoulder_torque"] == "shoulder_current"
-    assert columns(read_recording(made.folder), "shoulder_torque").max() == pytest.approx(
+    names = ["t", "shoulder_current", "shoulder_pos"]
+    log = logs.write_csv(tmp_path / "a.csv", time_s, goals[:, :1], angles[:, :1], names)
+    made = import_log(log, urdf, tmp_path / "amperes")
+    assert "motor currents, in amperes: shoulder_torque" in " ".join(made.remarks)
+    recording = read_recording(made.folder)
+    assert [signal.unit for signal in recording.inputs] == ["A"]
+    assert columns(recording, "shoulder_torque").max() == pytest.approx(goals[:, 0].max())
+    assert load_model(made.folder / "model.toml").inputs[0].unit == "A"
+    stated = import_log(log, urdf, tmp_path / "stated", unit="shoulder_torque=A:0.5")
+    assert columns(read_recording(stated.folder), "shoulder_torque").max() == pytest.approx(
         0.5 * goals[:, 0].max()
     )
+    left_out = import_log(log, urdf, tmp_path / "still", mapping=["shoulder_torque=none"])
+    assert "not used: shoulder_current" in left_out.remarks

@@ -19,7 +19,7 @@ from labrun.gap.robot.links import links_that_explain
 from labrun.gap.robot.one_joint import OneJoint, Prescribed, one_joint, prescribed
 from labrun.gap.robot.tip_load import place_of_load
 from labrun.gap.robot.together import together
-from labrun.gap.robot.torque_diagnosis import by_torques, diagnose_torques
+from labrun.gap.robot.torque_diagnosis import diagnose_torques
 from labrun.models import Model, Robot, identifier, simulate, suggest_substeps
 from labrun.workers import Pool, pool, spread
 
@@ -69,7 +69,7 @@ def diagnose_robot(
         Data or model that do not allow a diagnosis.
     """
     options = options or Options()
-    if by_torques(robot):
+    if robot.is_told_torques:
         return diagnose_torques(robot, model, dataset, options, note=note)
     start = time.perf_counter()
     note("finding what each joint carries along the measured motion")

@@ -277,3 +277,9 @@ def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
         solved = np.asarray(np.linalg.lstsq(scaled, sides, rcond=1e-12)[0], dtype=np.float64)
     result: FloatArray = solved * (scale if right.ndim == 1 else scale[:, None])
     return result
+
+
+def jackknife_error(left_out: FloatArray) -> float:
+    """Return the standard error of a coefficient from its fits without one unit each, (units,)."""
+    count = len(left_out)
+    return float(np.sqrt((count - 1) / count * np.sum(np.square(left_out - left_out.mean()))))

@@ -123,6 +123,10 @@ class TorqueLog:
         The trials at their full rate, and their motion.
     dead : per joint
         Why a joint's torque says nothing; "" if it does.
+    currents
+        Places of the joints of which the log states a motor current in place of a torque.
+    torque_units : per joint
+        ``N m``, of a slide ``N``.
     """
 
     joints: tuple[str, ...]
@@ -138,6 +142,8 @@ class TorqueLog:
     courses: tuple[Course, ...]
     moved: tuple[Moved, ...]
     dead: tuple[str, ...]
+    currents: tuple[int, ...]
+    torque_units: tuple[str, ...]
 
     def scaled(self, factors: FloatArray) -> "TorqueLog":
         """Return the same with the logged torque of each joint multiplied by a factor."""
@@ -258,7 +264,8 @@ def torque_log(robot: Robot, terms: RobotTerms, dataset: Dataset) -> TorqueLog:
     return TorqueLog(
         tuple(names), regressor, tuple(tuple(row) for row in rows), tuple(own_columns),
         tuple(course.label for course in courses), cut, courses[0].step_s, tolerance, speed, peak,
-        tuple(courses), tuple(moved), dead,
+        tuple(courses), tuple(moved), dead, tuple(_currents(robot, dataset)),
+        tuple("N m" if joint.unit == "rad" else "N" for joint in robot.joints),
     )  # fmt: skip
 
 
@@ -268,13 +275,16 @@ def _courses(robot: Robot, terms: RobotTerms, dataset: Dataset) -> tuple[list[Co
     inputs = [signal.name for signal in dataset.inputs]
     columns = [outputs.index(joint.output) for joint in robot.joints]
     drives = {actuator.joint: actuator for actuator in robot.actuators}
+    currents = _currents(robot, dataset)
     step_s = float(np.median(np.concatenate([np.diff(trial.time_s) for trial in dataset.trials])))
     courses, logged = [], []
     for trial in dataset.trials:
         torque = np.zeros((len(trial.time_s), len(columns)))
         for index, joint in enumerate(robot.joints):
             drive = drives.get(joint.name)
-            if drive is not None:
+            if drive is not None and index in currents:
+                torque[:, index] = trial.inputs[:, inputs.index(drive.input)]
+            elif drive is not None:
                 gains = terms.drives[joint.name]
                 torque[:, index] = np.clip(
                     gains.gear * trial.inputs[:, inputs.index(drive.input)], *gains.limits
@@ -288,6 +298,13 @@ def _courses(robot: Robot, terms: RobotTerms, dataset: Dataset) -> tuple[list[Co
         constant = joint.name in drives and float(np.ptp(every[:, index])) == 0.0
         why.append(f"its torque is {every[0, index]:.3g} throughout" if constant else "")
     return courses, tuple(why)
+
+
+def _currents(robot: Robot, dataset: Dataset) -> list[int]:
+    """Return the places of the joints of which the log states a motor current."""
+    in_amperes = {signal.name for signal in dataset.inputs if signal.unit == "A"}
+    driven = {actuator.joint for actuator in robot.actuators if actuator.input in in_amperes}
+    return [index for index, joint in enumerate(robot.joints) if joint.name in driven]
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from labrun.gap.diagnosis import (
     effect_words,
 )
 from labrun.gap.robot.diagnosis import JointDiagnosis, OfTheWhole, RobotDiagnosis
+from labrun.gap.robot.linear_evidence import jackknife_error
 from labrun.gap.robot.torque_columns import WHOLE, Regression, regression, torque_log
 from labrun.gap.robot.torque_selection import (
     COUPLED,
@@ -41,7 +42,7 @@ from labrun.gap.robot.torque_selection import (
     select,
     told_together,
 )
-from labrun.gap.robot.torque_units import LoggedUnits, dead_channels, logged_units
+from labrun.gap.robot.torque_units import LoggedUnits, dead_channels, logged_units, refined
 from labrun.models import Model, Robot, RobotJoint, identifier, robot_terms
 
 _Step = tuple[str, Name | None, float]
@@ -80,13 +81,6 @@ class TorqueAnswer:
     remarks: tuple[str, ...]
 
 
-def by_torques(robot: Robot) -> bool:
-    """Tell whether all drives of a robot are told torques, so that its log is one of torques or currents."""
-    return bool(robot.actuators) and all(
-        actuator.command in ("torque", "geared") for actuator in robot.actuators
-    )
-
-
 def explain_torques(
     robot: Robot, dataset: Dataset, *, withhold: Collection[str] = (), seed: int = 0, note: Note = silent
 ) -> TorqueAnswer:
@@ -102,8 +96,9 @@ def explain_torques(
     log = torque_log(robot, robot_terms(robot.xml, [joint.name for joint in robot.joints]), dataset)
     note("finding the unit and the sign of every joint's torque")
     data = regression(log)
-    units = logged_units(data)
+    units = logged_units(data, log.currents)
     if not units.as_logged:
+        units = refined(units, regression(log.scaled(units.factors)))
         log = log.scaled(units.factors)
         data = regression(log)
     library = _library(withhold)
@@ -122,7 +117,6 @@ def explain_torques(
     draws = decide.resamples(np.zeros(evidence.units, dtype=np.int64), numerics.RESAMPLES, rng)
     drawn[:, active] = evidence.resampled(active, draws, rng)
     remarks = (
-        *units.sentences,
         *dead_channels(log.joints, log.dead),
         *(
             f"{name} does not move: nothing can be said of it"
@@ -160,7 +154,7 @@ def diagnose_torques(
     Parameters
     ----------
     robot
-        Its drives are all told torques (see `by_torques`), and the log has the angle of every joint.
+        Its drives are all told torques (see `Robot.is_told_torques`), and the log has the angle of every joint.
     model
         The model of the whole robot, into which the causes go.
     """
@@ -532,7 +526,7 @@ class _Telling:
         for candidate, group, (errors, values) in zip(rest, groups, tables, strict=True):
             with np.errstate(invalid="ignore"):
                 share = 1.0 - float(np.nanmean(errors[:, number]) / np.nanmean(before[:, number]))
-            best, spread = float(values.mean()), _jackknife_error(values[:, 0])
+            best, spread = float(values.mean()), jackknife_error(values[:, 0])
             every = np.zeros(len(self.answer.values))
             every[:] = self.answer.values
             every[group] = abs(best) + numerics.NORMAL_95 * spread
@@ -585,8 +579,3 @@ _ONLY: Mapping[str, str] = {
 
 def _effect(name: str) -> Effect:
     return load_effect(name, _SITE_KINDS.get(name, "joint"))  # type: ignore[arg-type]
-
-
-def _jackknife_error(left_out: FloatArray) -> float:
-    count = len(left_out)
-    return float(np.sqrt((count - 1) / count * np.sum(np.square(left_out - left_out.mean()))))

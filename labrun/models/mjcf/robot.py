@@ -160,6 +160,11 @@ class Robot:
     bodies: tuple[str, ...]
     sensors: Mapping[str, tuple[str, ...]]
 
+    @property
+    def is_told_torques(self) -> bool:
+        """Whether all its drives are told torques, so that its log is one of torques or motor currents."""
+        return bool(self.actuators) and all(drive.command in ("torque", "geared") for drive in self.actuators)
+
 
 def read_robot(
     path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | None = None, *, repair: bool = False

@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from labrun.gap.robot.torque_diagnosis import by_torques
 from labrun.models import read_robot
 from tests.gap.robot.torque_logs import Hidden, arm, causes_of, diagnosed
 
@@ -96,6 +95,18 @@ def test_motor_currents_are_told_with_what_one_unit_is(tmp_path):
     assert causes["coulomb-friction", "arm_1"].values["torque"].value == pytest.approx(0.8, rel=0.2)
 
 
+def test_a_joint_whose_motor_current_is_logged_is_told_its_torque_per_ampere(tmp_path):
+    hidden = Hidden(units=(0.1, -1.0), amperes=(0,), force=friction(0.8, 0.0))
+    diagnosis = diagnosed(tmp_path, 2, hidden)
+    constant, sign = diagnosis.headline
+    assert constant.startswith("the torque of joint arm_1 is a motor current: ")
+    assert float(constant.split(": ")[1].split()[0]) == pytest.approx(10.0, rel=0.1)
+    assert sign == "joint arm_2 is reported with the opposite sign"
+    causes = causes_of(diagnosis)
+    assert set(causes) == {("coulomb-friction", "arm_1")}
+    assert causes["coulomb-friction", "arm_1"].values["torque"].value == pytest.approx(0.8, rel=0.1)
+
+
 def test_a_channel_without_torque_is_told_dead_and_its_joint_is_not_blamed(tmp_path):
     diagnosis = diagnosed(tmp_path, 2, Hidden(units=(1.0, 0.0), force=friction(0.8, 0.0)))
     assert any("arm_2: its torque is 0 throughout" in remark for remark in diagnosis.remarks)
@@ -114,5 +125,5 @@ def test_only_robots_whose_drives_are_all_told_torques_are_diagnosed_by_them(tmp
     by_torque, by_goal = tmp_path / "torque.xml", tmp_path / "goal.xml"
     by_torque.write_text(arm(2), encoding="utf-8")
     by_goal.write_text(arm(2).replace("<motor", '<position kp="10"', 1), encoding="utf-8")
-    assert by_torques(read_robot(by_torque))
-    assert not by_torques(read_robot(by_goal))
+    assert read_robot(by_torque).is_told_torques
+    assert not read_robot(by_goal).is_told_torques

@@ -54,6 +54,8 @@ class Hidden:
     gravity
     units
         Factors of what is logged of the torques.
+    amperes
+        Places of the joints of which the log states a motor current.
     """
 
     force: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
@@ -62,6 +64,7 @@ class Hidden:
     masses: Sequence[float] = ()
     gravity: tuple[float, float, float] | None = None
     units: Sequence[float] = field(default=())
+    amperes: Sequence[int] = ()
 
 
 def diagnosed(
@@ -109,7 +112,10 @@ def diagnosed(
     file = folder / "arm.xml"
     file.write_text(arm(joints), encoding="utf-8")
     robot, model = read_robot(file), load_model(file)
-    inputs = tuple(SignalInfo(signal.name, signal.unit, "linear") for signal in model.inputs)
+    inputs = tuple(
+        SignalInfo(signal.name, "A" if index in hidden.amperes else signal.unit, "linear")
+        for index, signal in enumerate(model.inputs)
+    )
     outputs = tuple(SignalInfo(output.name, output.unit) for output in model.outputs)
     dataset = Dataset("arm", folder, "recording", inputs, outputs, tuple(made))
     return diagnose_torques(robot, model, dataset)
