@@ -78,6 +78,8 @@ class RobotDiagnosis:
         What comes before the joints in the answer: a load, a missing hand, the unit of logged torques.
     whole_causes
         Causes of the robot as a whole that no single joint tells.
+    input_factors
+        What logged inputs are multiplied by to be the model's: motor currents become torques. 1 where not named.
     """
 
     name: str
@@ -91,6 +93,7 @@ class RobotDiagnosis:
     seconds: float
     headline: tuple[str, ...] = ()
     whole_causes: tuple[Cause, ...] = ()
+    input_factors: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def named(self) -> tuple[JointDiagnosis, ...]:
@@ -156,6 +159,7 @@ class RobotDiagnosis:
                 for name, joints, values in self.whole
             ],
             "corrected": dict(self.values),
+            **({"input_factors": dict(self.input_factors)} if self.input_factors else {}),
             "effects": [
                 {
                     "effect": effect.effect.id, "kind": effect.effect.kind,

@@ -19,6 +19,7 @@ from labrun.gap.robot.correction_choice import CorrectionChoice, Written
 from labrun.gap.robot.log_pieces import Pieces
 from labrun.gap.robot.one_joint import prescribed
 from labrun.gap.robot.together import IN_THE_ROBOT
+from labrun.gap.robot.torque_units import in_torques
 from labrun.gap.robot.withheld_fits import Correction, corrections
 from labrun.gap.saving import effects_of
 from labrun.models import Model, Robot
@@ -135,7 +136,7 @@ def withheld_check(
     robot: Robot, model: Model, dataset: Dataset, diagnosis: Mapping[str, Any], *, note: Note = silent
 ) -> WithheldCheck:
     """Do what `check_file` does, and return the errors of the corrected model as well."""
-    pieces = Pieces.of(robot, dataset, diagnosis)
+    pieces = Pieces.of(robot, in_torques(dataset, diagnosis), diagnosis)
     fitted: list[list[list[Correction]]] = []
     for index, joint in enumerate(diagnosed_joints(prescribed(robot, model, pieces.dataset), diagnosis)):
         name = joint.isolated.joint.name

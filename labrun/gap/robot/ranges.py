@@ -14,6 +14,7 @@ from labrun.estimate import Estimate
 from labrun.fit import Dataset, Note, fit_model, silent
 from labrun.gap.robot.as_diagnosed import diagnosed_joints
 from labrun.gap.robot.one_joint import prescribed
+from labrun.gap.robot.torque_units import in_torques
 from labrun.models import Model, Robot
 
 
@@ -45,7 +46,7 @@ def parameter_ranges(
         if parameter.name.endswith("_mass") and stated[parameter.name]
     }
     estimates: dict[str, Estimate] = {}
-    joints = diagnosed_joints(prescribed(robot, corrected, dataset), diagnosis)
+    joints = diagnosed_joints(prescribed(robot, corrected, in_torques(dataset, diagnosis)), diagnosis)
     for index, diagnosed in enumerate(joints):
         isolated = diagnosed.isolated
         carried = {

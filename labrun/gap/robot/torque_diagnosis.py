@@ -221,7 +221,21 @@ class _Telling:
         return RobotDiagnosis(
             self.robot.name, self.model.name, str(self.dataset.source), joints, tuple(wholes), tuple(effects),
             corrected, (*self.answer.remarks, *left), time.perf_counter() - start, tuple(headline), causes,
+            self.input_factors(),
         )  # fmt: skip
+
+    def input_factors(self) -> dict[str, float]:
+        """Return what logged inputs are multiplied by to be those of the model, where that is not 1."""
+        terms = robot_terms(self.robot.xml, list(self.data.log.joints))
+        factors = {}
+        for drive in self.robot.actuators:
+            joint = self.data.log.joints.index(drive.joint)
+            factor = float(self.answer.units.factors[joint])
+            if joint in self.data.log.currents:
+                factor /= terms.drives[drive.joint].gear or 1.0
+            if factor != 1.0:
+                factors[drive.input] = factor
+        return factors
 
     def words(self, candidate: Candidate) -> str:
         """Return what a candidate is called, and where."""
@@ -391,7 +405,7 @@ class _Telling:
     def joint(self, joint_index: int, joint: RobotJoint) -> JointDiagnosis:
         """Return what was found about one joint."""
         data, selection = self.data, self.answer.selection
-        unit = "N m" if joint.unit == "rad" else "N"
+        unit = self.answer.units.unit(self.data.log, joint_index)
         own = [cause for cause in self.causes if cause.candidate.joint == joint_index]
         if joint_index not in data.looked_at:
             nothing = self.diagnosis(joint, unit, (), np.full(3, np.nan), 1.0, own, joint_index)

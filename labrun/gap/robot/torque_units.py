@@ -1,14 +1,16 @@
 """What unit and sign the logged torque of each joint has: torques, motor currents, or one with the opposite sign."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from labrun.arrays import FloatArray, IntArray
+from labrun.fit import Dataset
 from labrun.gap import criteria, decide
 from labrun.gap.robot.linear_evidence import LinearEvidence, jackknife_error, log_errors, units_of
-from labrun.gap.robot.torque_columns import NUISANCE, Regression
+from labrun.gap.robot.torque_columns import NUISANCE, Regression, TorqueLog
 
 _FRICTION = ("coulomb", "viscous", "offset")
 _REWEIGHED = 3
@@ -42,6 +44,11 @@ class LoggedUnits:
         """Tell whether the log is taken as it is."""
         return bool(np.all(self.factors == 1.0)) and not self.unknown
 
+    def unit(self, log: TorqueLog, joint: int) -> str:
+        """Return the unit of a joint's torque as it is read: amperes where the log does not show what one is."""
+        shown = {place for place, _, _ in self.per_ampere}
+        return "A" if joint in log.currents and joint not in shown else log.torque_units[joint]
+
     @property
     def sentences(self) -> tuple[str, ...]:
         """The torque per ampere of motor currents, and what else to know."""
@@ -58,6 +65,22 @@ class LoggedUnits:
             listed = ", ".join(f"{name} {constant}" for name, constant in constants)
             first = f"the torques are motor currents: {listed}, {provided}"
         return (first, *self.remarks)
+
+
+def in_torques(dataset: Dataset, diagnosis: Mapping[str, Any]) -> Dataset:
+    """Return a log whose inputs are torques of the model's unit and sign, as a diagnosis reads them.
+
+    Parameters
+    ----------
+    diagnosis
+        As `RobotDiagnosis.to_json` gives it.
+    """
+    factors = diagnosis.get("input_factors", {})
+    if not factors:
+        return dataset
+    scale = np.array([factors.get(signal.name, 1.0) for signal in dataset.inputs])
+    trials = tuple(replace(trial, inputs=trial.inputs * scale) for trial in dataset.trials)
+    return replace(dataset, trials=trials)
 
 
 def logged_units(data: Regression, currents: Sequence[int] = ()) -> LoggedUnits:
@@ -141,8 +164,8 @@ def _of_torques(data: Regression, currents: Sequence[int]) -> LoggedUnits:
     if not joints:
         return LoggedUnits(factors)
     scales = _scale_places(data, joints)
-    others = [joint for joint in data.looked_at if joint in currents]
-    nuisances = np.sort(np.concatenate([_beside_scales(data), _scale_places(data, others)]))
+    in_amperes = [joint for joint in data.looked_at if joint in currents]
+    nuisances = np.sort(np.concatenate([_beside_scales(data), _scale_places(data, in_amperes)]))
     evidence = _cautious(data)
     before = evidence.unseen(nuisances)
     everywhere = np.arange(len(data.looked_at))
