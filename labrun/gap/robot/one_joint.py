@@ -162,12 +162,12 @@ class Prescribed:
         terms = tuple(replace(term, load=part) for term, part in zip(self.terms, parts, strict=True))
         return replace(self, terms=terms)
 
-    def with_links(self, beside: Mapping[int, Sequence[FloatArray]]) -> "Prescribed":
+    def with_links(self, deviations: Mapping[int, Sequence[FloatArray]]) -> "Prescribed":
         """Return the same with joints that stand beside what was measured of them, by place and trial, by so much."""
-        if not beside:
+        if not deviations:
             return self
         links = [np.zeros((len(trial.time_s), len(self.robot.joints))) for trial in self.dataset.trials]
-        for joint_index, courses in beside.items():
+        for joint_index, courses in deviations.items():
             for of_trial, course in zip(links, courses, strict=True):
                 of_trial[:, joint_index] = course
         pairs = zip(self.dataset.trials, links, strict=True)

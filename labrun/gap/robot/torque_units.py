@@ -46,7 +46,7 @@ class LoggedUnits:
 
     def unit(self, log: TorqueLog, joint: int) -> str:
         """Return the unit of a joint's torque as it is read: amperes where the log does not show what one is."""
-        shown = {place for place, _, _ in self.per_ampere}
+        shown = {index for index, _, _ in self.per_ampere}
         return "A" if joint in log.currents and joint not in shown else log.torque_units[joint]
 
     @property
