@@ -3,7 +3,6 @@
 from labrun.arrays import FloatArray
 from labrun.compiled import NativeFunction, Pointer, kernel, native
 from labrun.effects import Site, SiteKind
-from labrun.models.chains.model import ClosedChain
 from labrun.models.correcting import corrected_model_text
 from labrun.models.equations import python_model
 from labrun.models.files import load_model, parse_model
@@ -32,7 +31,7 @@ from labrun.models.simulation import (
 )
 
 __all__ = [
-    "Between", "Carried", "ClosedChain", "Condition", "Drive", "Exported", "FloatArray", "InertialRegressor", "Input",
+    "Between", "Carried", "Condition", "Drive", "Exported", "FloatArray", "InertialRegressor", "Input",
     "LinkMotion", "MjcfRange",
     "Model", "Motion", "NativeFunction", "Origin", "Output", "Parameter", "PassiveForces", "Pointer", "Robot",
     "RobotActuator",

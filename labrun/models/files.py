@@ -5,11 +5,10 @@ from pathlib import Path
 
 from labrun import registry
 from labrun.errors import LabrunError, ModelError
-from labrun.models.chains.file import chain_model
-from labrun.models.chains.model import AT_REST, ClosedChain
 from labrun.models.equations import equations_model
 from labrun.models.finding import GROUP, is_robot, model_file, model_files_like, shipped_models
 from labrun.models.mjcf.file import mujoco_model
+from labrun.models.mjcf.model import AT_REST, MujocoModel
 from labrun.models.mjcf.robot import read_robot
 from labrun.models.mjcf.robot_table import robot_table
 from labrun.models.model import Model, Origin
@@ -90,9 +89,7 @@ def parse_model(text: str, name: str, depth: int = 0) -> Model:
 
 def _own_model(file: ModelFile) -> Model:
     """Return the model of a file that refers to no other."""
-    if "mujoco" in file.data:
-        return mujoco_model(file)
-    return chain_model(file) if {"bodies", "joints", "loop"} & set(file.data) else equations_model(file)
+    return mujoco_model(file) if "mujoco" in file.data else equations_model(file)
 
 
 def _origin(file: ModelFile) -> Origin:
@@ -135,7 +132,7 @@ def _based_model(file: ModelFile, depth: int) -> Model:
 
 
 def _rests(model: Model, state: str, rule: float | str) -> bool:
-    return isinstance(model, ClosedChain) and rule == AT_REST and state in model.tree.joints
+    return isinstance(model, MujocoModel) and rule == AT_REST and state in model.guesses
 
 
 def _text(path: Path) -> str:

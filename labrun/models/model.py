@@ -64,8 +64,6 @@ class Output:
 
     Attributes
     ----------
-    exact_within
-        Smaller differences are no error of a simulation: for what is 0 but for rounding and truncation.
     followed
         Whether what was measured of it keeps the simulation on course, so that it is no site: what its sensor does is
         not to be told apart.
@@ -75,7 +73,6 @@ class Output:
 
     name: str
     unit: str = "1"
-    exact_within: float = 0.0
     followed: bool = False
     shows: str = ""
 

@@ -201,7 +201,6 @@ def suggest_substeps(
         initial_state = model.initial_state(condition, first=model.told_first(inputs[0]))
     start = _checked_state(model, initial_state)
     p = model.vector(parameters, condition)
-    exact_within = np.array([output.exact_within for output in model.outputs])
     coarse: Simulation | None = None
     substeps = 1
     while substeps <= most:
@@ -210,7 +209,7 @@ def suggest_substeps(
             span = np.ptp(fine.outputs, axis=0)
             moved = np.max(np.abs(fine.outputs - coarse.outputs), axis=0, initial=0.0)
             rounding = 1e-12 * np.max(np.abs(fine.outputs), axis=0, initial=0.0)
-            if np.all(moved <= tolerance * span + rounding + exact_within):
+            if np.all(moved <= tolerance * span + rounding):
                 return substeps // 2
         coarse = fine
         substeps *= 2

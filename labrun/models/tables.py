@@ -174,7 +174,7 @@ class MujocoSite(Table):
 
     kind: Literal["joint", "body"] = "joint"
     joint: str | None = None
-    stiffness: str = ""
+    stiffness: Equation = Expression.of(0.0)
     load: Equation = Expression.of(0.0)
     drive: bool = False
 

@@ -32,7 +32,6 @@ conditions = [{ a = 5 }]
 
 @pytest.fixture
 def arm(tmp_path):
-    pytest.importorskip("mujoco")
     (tmp_path / "arm.xml").write_text(ARM)
     return tmp_path / "arm.toml"
 

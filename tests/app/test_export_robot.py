@@ -3,14 +3,13 @@
 import json
 import os
 
+import mujoco
 import numpy as np
 import pytest
 
 from labrun.app.simulators import export_robot
 from labrun.errors import RequestError
 from labrun.models import load_model, simulate
-
-mujoco = pytest.importorskip("mujoco")
 
 ARM = """
 <mujoco model="arm"><compiler angle="radian"/><worldbody><body name="upper">

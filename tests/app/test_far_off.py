@@ -15,8 +15,6 @@ from labrun.errors import RequestError
 sys.path.insert(0, str(Path(__file__).parents[1] / "logs"))
 import robot_logs as logs
 
-pytest.importorskip("mujoco")
-
 
 @pytest.fixture
 def arm(tmp_path):

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from pages import blocks
@@ -13,7 +14,6 @@ from labrun.app.diagnose_robot import diagnose_joints
 from labrun.app.logs import import_log
 from labrun.app.simulators import export_robot
 
-mujoco = pytest.importorskip("mujoco")
 PAGE = Path(__file__).parents[2] / "docs" / "your-robot-your-log.md"
 
 

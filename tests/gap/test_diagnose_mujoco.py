@@ -9,8 +9,6 @@ from labrun.models import load_model
 
 from .benches import TRUE, dry_friction, recorded
 
-pytest.importorskip("mujoco")
-
 ARM_M, GRAVITY_M_S2 = 0.1, 9.81
 MASS_KG = TRUE["gravity"] / GRAVITY_M_S2 / ARM_M
 SPIN_KG_M2 = TRUE["inertia"] - MASS_KG * ARM_M**2

@@ -10,7 +10,6 @@ from labrun.app.logs import LogAnswers, import_log, preview_log
 from labrun.logs import ReadOptions, read_log
 from labrun.store import read_recording
 
-pytest.importorskip("mujoco")
 LENGTHS = (700, 300, 900, 180)
 
 

@@ -12,8 +12,6 @@ from labrun.logs import Match, Stream, Wanted, column, statements, table_of
 from labrun.models import load_model
 from labrun.store import read_recording
 
-pytest.importorskip("mujoco")
-
 
 @pytest.fixture
 def arm(tmp_path):

@@ -12,7 +12,6 @@ from labrun.logs import Stream, Wanted, column, matched, questions, read_log
 from labrun.models import load_model
 from labrun.store import read_recording
 
-pytest.importorskip("mujoco")
 ZERO = 1_700_000_000 * 10**9
 
 

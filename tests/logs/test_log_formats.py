@@ -18,7 +18,6 @@ from labrun.store import read_recording
 
 @pytest.fixture
 def arm(tmp_path):
-    pytest.importorskip("mujoco")
     path = tmp_path / "arm.xml"
     path.write_text(logs.ARM)
     return path

@@ -9,7 +9,6 @@ from labrun.errors import RequestError
 from labrun.logs import questions, read_log
 from labrun.store import read_recording
 
-pytest.importorskip("mujoco")
 pytest.importorskip("rosbags")
 ZERO = 1_700_000_000 * 10**9
 JOINTS = ("shoulder", "elbow")

@@ -10,8 +10,6 @@ from labrun.app.logs import LogAnswers, import_log, preview_log
 from labrun.cli.app import app
 from labrun.errors import RequestError
 
-pytest.importorskip("mujoco")
-
 
 @pytest.fixture
 def urdf(tmp_path):

@@ -9,7 +9,6 @@ from labrun.errors import RequestError
 from labrun.logs import AskedUnits, Match, Stream, Wanted, column, decide_units, questions
 from labrun.store import read_recording
 
-pytest.importorskip("mujoco")
 GRIPPER = """
 <mujoco model="arm"><compiler angle="radian"/><worldbody>
 <body name="upper"><joint name="shoulder" axis="0 1 0" range="-2 2" damping="0.5"/>

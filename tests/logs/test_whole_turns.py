@@ -117,7 +117,6 @@ def test_motion_is_no_jump(seed, speed):
 
 
 def test_ticks_with_a_stated_zero_are_counted_from_it(tmp_path):
-    pytest.importorskip("mujoco")
     arm = tmp_path / "arm.xml"
     arm.write_text(logs.ARM)
     time_s, goals, angles = logs.motion()

@@ -1,11 +1,9 @@
 """A gripper of joints that are tied together is held, and the arm that carries it is left to be looked at."""
 
+import mujoco
 import numpy as np
-import pytest
 
 from labrun.models import read_robot, robot_terms, with_grip_held
-
-mujoco = pytest.importorskip("mujoco")
 
 ARM = """
 <mujoco model="arm"><compiler angle="radian"/><worldbody><body name="upper"><joint name="shoulder" axis="0 1 0"/>

@@ -24,8 +24,6 @@ from labrun.models import (
     suggest_substeps,
 )
 
-pytest.importorskip("mujoco")
-
 TIME_S = np.linspace(0.0, 3.0, 301)
 TORQUE = (0.4 * np.sin(5.0 * TIME_S) + 0.2 * np.sin(17.0 * TIME_S))[:, None]
 NOTHING = np.empty((len(TIME_S), 0))

@@ -1,5 +1,6 @@
 """Robot files with names that meet, links that are missing, and inertias that no body can have."""
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -9,7 +10,6 @@ from labrun.errors import ModelError
 from labrun.models import parse_model, read_robot, robot_table
 from labrun.models.mjcf.soundness import nearest_inertia
 
-mujoco = pytest.importorskip("mujoco")
 BODY = (
     '<body name="{body}" pos="0 0 -.2"><joint name="{joint}" axis="0 1 0" damping="1"/>'
     '<inertial pos="0 0 -.1" mass="1" diaginertia="1e-2 1e-2 1e-2"/>'

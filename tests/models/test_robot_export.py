@@ -1,5 +1,6 @@
 """The exported MJCF, simulated by MuJoCo alone, does what labrun's own corrected simulation does."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -13,8 +14,6 @@ from labrun.models import (
     robot_table,
     simulate,
 )
-
-mujoco = pytest.importorskip("mujoco")
 
 ARM = """
 <mujoco model="arm"><compiler angle="radian"/><option timestep="0.001" integrator="RK4"/><worldbody><body name="upper">

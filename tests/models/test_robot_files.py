@@ -1,12 +1,11 @@
 """An MJCF or URDF file alone is a model: joints, actuators and sites come from it, what is left out is said."""
 
+import mujoco
 import numpy as np
 import pytest
 
 from labrun.errors import ModelError
 from labrun.models import load_model, parse_model, read_robot, robot_table, simulate
-
-mujoco = pytest.importorskip("mujoco")
 
 URDF = """
 <robot name="arm"><link name="base"/>

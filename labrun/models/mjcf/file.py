@@ -13,8 +13,8 @@ import numpy as np
 from labrun.effects import Site
 from labrun.errors import ModelError
 from labrun.models.mjcf.elements import Elements, ReferenceProblem
-from labrun.models.mjcf.model import MujocoModel, functions
-from labrun.models.mjcf.plant import MemoryPlace, MjcfLayout, imported, pack
+from labrun.models.mjcf.model import AT_REST, MujocoModel, functions
+from labrun.models.mjcf.plant import MemoryPlace, MjcfLayout, has_loops, imported, pack
 from labrun.models.mjcf.robot import identifier, robot_spec
 from labrun.models.model import Output, Parameter
 from labrun.models.reading import (
@@ -55,6 +55,10 @@ class States:
     quaternions: tuple[tuple[int, MemoryPlace], ...]
     reference: tuple[float, ...]
 
+    def location(self, name: str) -> MemoryPlace:
+        """Return where a state is."""
+        return self.places[self.names.index(name)]
+
     def named(self, memory: MemoryPlace) -> str:
         """Return the name of the state at a place."""
         return self.names[self.places.index(memory)]
@@ -89,7 +93,7 @@ def mujoco_model(file: ModelFile) -> MujocoModel:
             states.named(MemoryPlace("data", "qpos", position)),
             states.named(MemoryPlace("data", "qvel", dof)),
             site.load.text if "load" in site.model_fields_set else "",
-            site.stiffness,
+            site.stiffness.text if site.stiffness.names else "",
             site.drive,
         )
         for (name, site), (position, dof) in zip(given.sites.items(), dofs, strict=True)
@@ -104,6 +108,7 @@ def mujoco_model(file: ModelFile) -> MujocoModel:
     _check_springs(file, given)
     conditions = conditions_of(file, expressions, places, given.conditions)
     initial = _initial(file, given, states, outputs)
+    guesses = _guesses(native, states)
     file.refuse()
     refuse_unused(file, expressions, parameters, conditions)
     places |= {condition: f"p[{len(parameters) + index}]" for index, condition in enumerate(conditions)}
@@ -151,7 +156,9 @@ def mujoco_model(file: ModelFile) -> MujocoModel:
         mjcf=given.mujoco
         if given.mujoco.lstrip().startswith("<")
         else str(Path(file.name).parent / given.mujoco),
-    )
+        closes=has_loops(native),
+        guesses=guesses,
+    ).with_initial(given.initial)
     return dataclasses.replace(model, effects=read_effects(file, given.effects, model))
 
 
@@ -266,19 +273,35 @@ def _check_settings(file: ModelFile, settings: Settings, places: Mapping[str, st
 
 
 def _check_springs(file: ModelFile, given: MujocoFile) -> None:
-    for name, site in given.sites.items():
-        if site.stiffness and site.stiffness not in given.parameters:
-            hint = suggest(site.stiffness, given.parameters)
-            file.note(("sites", name, "stiffness"), f"there is no parameter {site.stiffness!r}", hint)
+    for site, table in given.sites.items():
+        for name in table.stiffness.names:
+            if name not in given.parameters:
+                hint = suggest(name, given.parameters)
+                file.note(("sites", site, "stiffness"), f"there is no parameter {name!r}", hint)
 
 
 def _initial(
     file: ModelFile, given: MujocoFile, states: States, outputs: tuple[Output, ...]
 ) -> dict[str, float | str]:
     """Return where each state starts; where the file does not say, it is where the MJCF file begins."""
-    rules = initial_of(file, given.initial, states.names, outputs)
-    own = dict(zip(states.names, states.reference, strict=True))
-    return {state: rule if state in given.initial else own[state] for state, rule in rules.items()}
+    for state, rule in given.initial.items():
+        if rule == AT_REST and state in states.names and states.location(state).array != "qpos":
+            file.note(("initial", state), f'"{AT_REST}" is for positions', "rates begin at 0")
+    rules = {
+        state: rule for state, rule in given.initial.items() if rule != AT_REST or state not in states.names
+    }
+    initial_of(file, rules, states.names, outputs)
+    return dict(zip(states.names, states.reference, strict=True))
+
+
+def _guesses(native: Any, states: States) -> dict[str, float]:
+    """Return where the search for rest begins: at the first keyframe, else where the MJCF file begins."""
+    positions = native.key_qpos[0] if native.nkey else native.qpos0
+    return {
+        name: float(positions[location.index])
+        for name, location in zip(states.names, states.places, strict=True)
+        if location.array == "qpos"
+    }
 
 
 def _notes(native: Any) -> tuple[str, ...]:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from labrun.errors import ModelError
 
-_INSTALL = 'pip install "labrun[mujoco]"'
 _SETTLED = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "xfrc_applied")
 """What stands in MuJoCo's memory before its equations are evaluated."""
 
@@ -112,12 +111,26 @@ class MjcfLayout:
 
 
 def imported() -> Any:
-    """Return the module `mujoco`. Raises ModelError: it is not installed, with the line that installs it."""
+    """Return the module `mujoco`, which takes a while to load. Raises ModelError: it cannot be loaded."""
     try:
         import mujoco
     except ImportError as error:
-        raise ModelError(f"a model in MuJoCo needs the package mujoco: {error}", hint=_INSTALL) from None
+        raise ModelError(
+            f"MuJoCo, which comes with labrun, cannot be loaded: {error}",
+            hint="pip install --force-reinstall mujoco",
+        ) from None
     return mujoco
+
+
+def has_loops(model: Any) -> bool:
+    """Tell whether a compiled model has equality constraints that close loops."""
+    return bool(np.isin(model.eq_type, loop_kinds()).any())
+
+
+def loop_kinds() -> list[int]:
+    """Return the kinds of equality constraints that close loops: ``connect`` and ``weld``."""
+    kinds = imported().mjtEq
+    return [int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD)]
 
 
 def pack(model: Any) -> bytes:

@@ -1,5 +1,6 @@
 """What of a correction is written: only what is better where the fit has not seen the log."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -7,8 +8,6 @@ from labrun.fit import Dataset, FitTrial
 from labrun.gap import check_file
 from labrun.models import load_model, mjcf_of, read_robot, robot_table
 from labrun.store import SignalInfo
-
-mujoco = pytest.importorskip("mujoco")
 
 XML = """
 <mujoco model="arm"><compiler angle="radian"/><option timestep="0.001"/><worldbody><body name="upper">

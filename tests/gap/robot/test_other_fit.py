@@ -10,7 +10,6 @@ from labrun.errors import RequestError
 from labrun.gap import FittedValue, judge_fit
 from labrun.models import read_robot
 
-pytest.importorskip("mujoco")
 CAUSE = {"effect": "coulomb-friction", "kind": "effect", "site": "elbow"}
 
 

@@ -8,8 +8,6 @@ from labrun.devices import Trajectory
 from labrun.errors import SpecError
 from labrun.spec import load_experiment, new_experiment
 
-pytest.importorskip("mujoco")
-
 ARM = """
 <mujoco model="arm"><worldbody><body name="upper"><joint name="joint_1" axis="0 1 0" damping="2"/>
 <inertial pos="0 0 -.1" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/><site name="s"/>

@@ -25,10 +25,10 @@ from labrun.fit import (
     load_dataset,
     mean_estimate,
 )
-from labrun.models import ClosedChain, Output, load_model, simulate
+from labrun.models import Model, Output, load_model, simulate
 from labrun.toml import Keys
+from labrun_plugins.rigs.six_bar.linkage import JOINTS, loop_opening
 
-_JOINTS = tuple(f"theta_{number}" for number in range(1, 7))
 _SWINGING = ("theta_5", "theta_6")
 """The joints of the end-effector, whose swing the source looks at."""
 
@@ -46,7 +46,7 @@ class RestSettings(Keys):
 
 
 _LOOK = "look at the trial with labrun show; release the hinge farther from its rest, or lower skip_s"
-_MEASURED = OutputsAlone(tuple(Output(joint, "rad") for joint in _JOINTS))
+_MEASURED = OutputsAlone(tuple(Output(joint, "rad") for joint in JOINTS))
 
 
 @dataclass(frozen=True)
@@ -83,19 +83,19 @@ class RestFit(WithSettings[RestSettings]):
         """
         data = load_dataset(job.target, _MEASURED, job.signals)
         model = job.model if job.model is not None else load_model("six-bar")
-        if not isinstance(model, ClosedChain) or set(model.tree.joints) != set(_JOINTS):
+        if not set(JOINTS) <= set(model.states):
             raise RequestError(
-                f"model {model.name} is no linkage with the joints {_JOINTS[0]} to {_JOINTS[-1]}",
+                f"model {model.name} is no linkage with the joints {JOINTS[0]} to {JOINTS[-1]}",
                 hint="experiments/models/six-bar.toml is one",
             )
         job.note("following the swing of every joint")
         swings = [swings_of(trial, self._settings.skip_s) for trial in data.trials]
         rest = np.array([[s.rest for s in own] for own in swings])
         parameters = {
-            f"rest_{joint}": mean_estimate(rest[:, column], "rad") for column, joint in enumerate(_JOINTS)
+            f"rest_{joint}": mean_estimate(rest[:, column], "rad") for column, joint in enumerate(JOINTS)
         }
         for joint in _SWINGING:
-            own = [joint_swings[_JOINTS.index(joint)] for joint_swings in swings]
+            own = [joint_swings[JOINTS.index(joint)] for joint_swings in swings]
             parameters[f"period_{joint}"] = mean_estimate([s.period for s in own], "s")
             parameters[f"decay_{joint}"] = mean_estimate([s.decay for s in own], "1/s")
         job.note("simulating the swing")
@@ -141,7 +141,7 @@ def swings_of(trial: FitTrial, skip_s: float) -> list[Swing]:
             hint="record longer, or set skip_s",
         )
     swings = []
-    for joint, angle in zip(_JOINTS, trial.outputs[late].T, strict=True):
+    for joint, angle in zip(JOINTS, trial.outputs[late].T, strict=True):
         try:
             own = swing(trial.time_s[late], angle)
         except FitError as error:
@@ -156,24 +156,24 @@ def swings_of(trial: FitTrial, skip_s: float) -> list[Swing]:
     return swings
 
 
-def _closures(model: ClosedChain, data: Dataset, rest: FloatArray) -> tuple[str, ...]:
+def _closures(model: Model, data: Dataset, rest: FloatArray) -> tuple[str, ...]:
     """Say how far the loop is open: as measured at rest, and while the model swings from where each trial began."""
-    order = [_JOINTS.index(joint) for joint in model.tree.joints]
-    measured = float(np.max(model.opening(rest[:, order])[:, 0]))
-    free = model.with_initial(dict.fromkeys(_JOINTS, "first"))
+    order = [model.states.index(joint) for joint in JOINTS]
+    measured = float(np.max(loop_opening(rest)))
+    free = model.with_initial(dict.fromkeys(JOINTS, "first"))
     widest = 0.0
     for trial in data.trials:
-        first = dict(zip(_JOINTS, trial.outputs[:3].mean(axis=0).tolist(), strict=True))
+        first = dict(zip(JOINTS, trial.outputs[:3].mean(axis=0).tolist(), strict=True))
         start = free.initial_state(trial.condition, first=first)
         nothing = np.empty((len(trial.time_s), 0))
         simulated = simulate(
             free, trial.time_s, nothing, condition=trial.condition, initial_state=start, substeps=2
         )
-        angles = simulated.states[:: max(len(simulated.states) // 500, 1), : len(_JOINTS)]
-        widest = max(widest, float(np.max(model.opening(angles)[:, 0])))
-    predicted = model.with_initial(dict.fromkeys(_JOINTS, "rest")).initial_state(data.trials[0].condition)
-    apart = np.abs(rest.mean(axis=0)[order] - predicted[: len(_JOINTS)])
-    worst = model.tree.joints[int(np.argmax(apart))]
+        angles = simulated.states[:: max(len(simulated.states) // 500, 1), order]
+        widest = max(widest, float(np.max(loop_opening(angles))))
+    predicted = model.with_initial(dict.fromkeys(JOINTS, "rest")).initial_state(data.trials[0].condition)
+    apart = np.abs(rest.mean(axis=0) - predicted[order])
+    worst = JOINTS[int(np.argmax(apart))]
     return (
         f"{model.name} as stated rests {apart.mean():.4f} rad from the measured angles in the mean, "
         f"{apart.max():.4f} rad at {worst}",
@@ -188,7 +188,7 @@ def _figure(data: Dataset, rest: FloatArray) -> FigureData:
     step = max(len(trial.time_s) // 2000, 1)
     t = trial.time_s[::step] - trial.time_s[0]
     stacks = []
-    for column, joint in enumerate(_JOINTS):
+    for column, joint in enumerate(JOINTS):
         at_rest = np.full(2, rest[:, column].mean())
         curves = (
             Curve(t, trial.outputs[::step, column], "measured", "measured" if column == 0 else ""),

@@ -7,18 +7,16 @@ from typing import Any, ClassVar
 import numpy as np
 import tomli_w
 from pydantic import NonNegativeFloat
-from scipy.spatial.transform import Rotation
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import ExperimentError
-from labrun.models import ClosedChain, Site, Stepper, load_model, parse_model, shipped_models
+from labrun.models import Model, Site, Stepper, load_model, parse_model, shipped_models
+from labrun_plugins.rigs.six_bar.linkage import BODIES, JOINTS, body_turns
 from labrun_plugins.simulated.bench import Bench, BenchSettings, Passage, hidden_effects, unpacked
 
 _MODEL = "six-bar"
 _HELD = "theta_5"
-_BODIES = tuple(f"body_{number}" for number in range(1, 7))
-_JOINTS = tuple(f"theta_{number}" for number in range(1, 7))
 _CENTRE_M = np.array([0.2, 0.0, 1.1])
 _SCALE = Scale(coordinate=0.4, rate=3.0, acceleration=50.0, force=0.01, signal=0.4, time_s=0.4)
 _BETWEEN_SETUPS = (0.0094, 0.0131)
@@ -41,19 +39,27 @@ class SixBarSettings(BenchSettings):
     scatter: NonNegativeFloat = 1.0
 
 
-def _in_hand() -> ClosedChain:
-    """Return the shipped model with a hand on it: inputs ``grip`` (0 or 1) and ``wanted`` (rad)."""
-    data = tomllib.loads(shipped_models()[_MODEL].read_text(encoding="utf-8"))
-    data["inputs"] = ["grip", "wanted"]
-    for joint, table in data["joints"].items():
-        calming = _STEADYING_N_M_S_RAD
-        torque = f"-grip*{calming}*{joint}_rate"
-        if joint == _HELD:
-            torque += f" + grip*({_GRIP_N_M_RAD}*(wanted - {joint}) - {_GRIP_N_M_S_RAD}*{joint}_rate)"
-        table["torque_n_m"] = torque
-    model = parse_model(tomli_w.dumps(data), f"{_MODEL} in a hand")
-    assert isinstance(model, ClosedChain)  # noqa: S101 - it has a loop
-    return model
+_HAND = (
+    f'<general name="hold" joint="{_HELD}" gaintype="affine" gainprm="0 {-_GRIP_N_M_RAD} {-_GRIP_N_M_S_RAD}"/>',
+    f'<motor name="pull" joint="{_HELD}" gear="{_GRIP_N_M_RAD}"/>',
+    *(
+        f'<general name="steady_{joint}" joint="{joint}" gaintype="affine" gainprm="0 0 {-_STEADYING_N_M_S_RAD}"/>'
+        for joint in JOINTS
+    ),
+)
+_PULL = 1
+"""Which input takes the held hinge to its angle: the grip times that angle, rad; all others are the grip, 0 or 1."""
+
+
+def _in_hand() -> Model:
+    """Return the shipped model with a hand on it: actuators that hold, that pull, and that steady each joint."""
+    path = shipped_models()[_MODEL]
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    xml = path.with_name(data["mujoco"]).read_text(encoding="utf-8")
+    data["mujoco"] = xml.replace("<equality>", f"<actuator>{''.join(_HAND)}</actuator><equality>")
+    names = ["hold", "pull", *(f"steady_{joint}" for joint in JOINTS)]
+    data["inputs"] = {name: f"actuator.{name}" for name in names}
+    return parse_model(tomli_w.dumps(data), f"{_MODEL} in a hand")
 
 
 class SixBar(Bench):
@@ -71,21 +77,18 @@ class SixBar(Bench):
     step_s = 0.001
     scale = _SCALE
     joints = (_HELD,)
-    sensed = _JOINTS
+    sensed = JOINTS
     remembered = ("factors", "hand_before", "sight", "stepper")
     signals: Mapping[str, str] = {
         **{f"{body}_{axis}": "m" if axis in "xyz" else "1"
-           for body in _BODIES for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")},
-        **dict.fromkeys(_JOINTS, "rad"),
+           for body in BODIES for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")},
+        **dict.fromkeys(JOINTS, "rad"),
     }  # fmt: skip
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         self._nominal = _in_hand()
-        self._column = [self._nominal.tree.joints.index(joint) for joint in _JOINTS]
-        self._placed_by = [
-            None if body == "body_1" else self._nominal.tree.bodies.index(body) for body in _BODIES
-        ]
+        self._column = [self._nominal.states.index(joint) for joint in JOINTS]
         loaded = load_model(_MODEL)
         self._rest = loaded.initial_state({})
         in_sight = [
@@ -103,7 +106,7 @@ class SixBar(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return parameters as they are on the bench, where it rests, and hidden effects."""
-        rest = {joint: float(self._rest[column]) for joint, column in zip(_JOINTS, self._column, strict=True)}
+        rest = {joint: float(self._rest[column]) for joint, column in zip(JOINTS, self._column, strict=True)}
         return self._truth((*self._at_hinges, *self._sight.effects), rest_as_documented_rad=rest)
 
     def _set_up(self, factors: FloatArray) -> None:
@@ -126,13 +129,15 @@ class SixBar(Bench):
         drive = self._drives[_HELD]
         hand = np.column_stack([np.minimum(drive.under_way(time_s), 1), drive.angles(time_s)])
         # the hand is there or not throughout a step: what it does at the end of one is done from its beginning
-        steps = np.repeat(hand[:, None, :], 3, axis=1)
+        steps = np.repeat(hand[:, None, :], 3, axis=1)  # grip, and the angle that is wanted
         steps[:, 0, 1] = np.append(self._hand_before[0, 1], hand[:-1, 1])
         steps[:, 1, 1] = 0.5 * (steps[:, 0, 1] + steps[:, 2, 1])
         first = np.append(self._hand_before[0, 0], hand[:-1, 0]) == 0
         steps[first, :, 1] = hand[first, None, 1]
         self._hand_before = hand[-1:].copy()
-        true = self._stepper.advance(steps)
+        inputs = np.repeat(steps[:, :, :1], len(self._nominal.inputs), axis=2)
+        inputs[:, :, _PULL] *= steps[:, :, 1]
+        true = self._stepper.advance(inputs)
         if not self._stepper.finite:
             raise ExperimentError(
                 "the simulated six-bar linkage blew up: it came too close to the flat sheet, where it is singular",
@@ -143,14 +148,11 @@ class SixBar(Bench):
 
     def _poses(self, seen: FloatArray) -> FloatArray:
         """Return the poses of all bodies, shape (n, 42), from the angles in the order of their names."""
-        angles = np.empty_like(seen)
-        angles[:, self._column] = seen
-        turns = self._nominal.turns(angles)
+        turns = body_turns(seen)
         poses = []
-        for index in self._placed_by:
-            turn = np.broadcast_to(np.eye(3), (len(seen), 3, 3)) if index is None else turns[:, index]
-            outward = 0.06 * turn[:, :, 0]
-            poses += [_CENTRE_M + outward, Rotation.from_matrix(turn).as_quat()]
+        for body in BODIES:
+            outward = 0.06 * turns[body].apply([1.0, 0.0, 0.0])
+            poses += [_CENTRE_M + outward, turns[body].as_quat()]
         return np.column_stack(poses)
 
     def _recall(self, memory: Mapping[str, Any]) -> None:
