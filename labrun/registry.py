@@ -13,7 +13,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib.metadata import Distribution, EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, EntryPoints, entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -60,10 +60,16 @@ class PluginEntry:
     cause: str = ""
 
 
+@lru_cache(maxsize=1)
+def _all_entry_points() -> EntryPoints:
+    """Return the entry points of all distributions, whose files are read once a process."""
+    return entry_points()
+
+
 @lru_cache(maxsize=len(GROUPS))
 def _entries(group: str) -> dict[str, tuple[EntryPoint, Distribution | None]]:
     """Return entry points by name, each with the distribution that brings it."""
-    entries = {entry.name: (entry, entry.dist) for entry in entry_points(group=group)}
+    entries = {entry.name: (entry, entry.dist) for entry in _all_entry_points().select(group=group)}
     return entries | {entry.name: (entry, dist) for entry, dist in _of_rigs() if entry.group == group}
 
 
@@ -71,7 +77,7 @@ def _entries(group: str) -> dict[str, tuple[EntryPoint, Distribution | None]]:
 def _of_rigs() -> list[tuple[EntryPoint, Distribution | None]]:
     """Return what the folders of all rigs declare; imports none of them."""
     rigs = []
-    for package in entry_points(group=RIGS):
+    for package in _all_entry_points().select(group=RIGS):
         try:
             spec = find_spec(package.value)
         except ModuleNotFoundError as error:
@@ -99,6 +105,12 @@ def _declared(path: Path, rig: str) -> Iterator[EntryPoint]:
             )
         for name, target in plugins.items():
             yield EntryPoint(name, f"{rig}.{target}", f"labrun.{kind}")
+
+
+def read_again() -> None:
+    """Forget which plugins are installed; needed after a folder with distributions was added to `sys.path`."""
+    for cached in (_all_entry_points, _entries, _of_rigs):
+        cached.cache_clear()
 
 
 @lru_cache

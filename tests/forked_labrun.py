@@ -8,6 +8,7 @@ is imported when start them as a person does.
 
 import atexit
 import functools
+import gc
 import importlib
 import json
 import os
@@ -23,7 +24,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from select import select
 
+import numpy as np
+
 import labrun.cli
+from labrun import registry
+from labrun.models import load_model, simulate
 from labrun.runner import resolve
 
 _TYPED = """#!{python} -IS
@@ -99,7 +104,16 @@ def _serve(address: str) -> None:
             importlib.import_module(module.name)
     for name in ("labrun.devices.processes.scene", "labrun.devices.processes.emulator"):
         importlib.import_module(name)
-    importlib.import_module("labrun_plugins.simulated.bench")
+    for group in registry.GROUPS:
+        for plugin in registry.installed(group):
+            if plugin.target.startswith("labrun"):
+                registry.load(group, plugin.name)
+    # which loads the integrator and what numba needs for its first function
+    simulate(
+        load_model("hinge-pendulum"), np.linspace(0.0, 0.1, 11), np.empty((11, 0)), initial_state=[0.1, 0.0]
+    )
+    gc.collect()
+    gc.freeze()  # else every process that is forked goes through all of it, and copies it by that
     resolve._PYTHON = str(Path(address).with_name("forked-python"))
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(address)
@@ -140,6 +154,8 @@ def _carry_out(connection: socket.socket) -> None:
         part for part in environment.get("PYTHONPATH", "").split(os.pathsep) if part not in ("", *sys.path)
     ]
     sys.path[:0] = added
+    if any(any(Path(part).glob("*.dist-info")) for part in added):
+        registry.read_again()
     if Path(program).name == "forked-python":
         code = _code_of(lambda: _python(arguments))
     else:

@@ -24,16 +24,11 @@ def rigs(tmp_path, monkeypatch):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: some-lab\nVersion: 1.2\n")
     (info / "entry_points.txt").write_text("[labrun.rigs]\nlab = some_lab.rigs\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    _forget()
+    registry.read_again()
     yield folder
-    _forget()
+    registry.read_again()
     for name in [name for name in sys.modules if name.partition(".")[0] == "some_lab"]:
         del sys.modules[name]
-
-
-def _forget():
-    registry._entries.cache_clear()
-    registry._of_rigs.cache_clear()
 
 
 def test_a_folder_with_a_rig_file_is_found_and_not_imported(rigs):

@@ -19,10 +19,10 @@ def broken(tmp_path, monkeypatch):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken-lab\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[labrun.effects]\nsticky-thing = not_there_at_all:EFFECT\n")
     monkeypatch.syspath_prepend(tmp_path)
-    registry._entries.cache_clear()
+    registry.read_again()
     yield "sticky-thing"
     monkeypatch.undo()
-    registry._entries.cache_clear()
+    registry.read_again()
 
 
 def model():
