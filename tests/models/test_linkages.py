@@ -3,6 +3,7 @@
 import pickle
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from four_bar import INERTIA, MJCF, PULL_N_M, TABLE, begins, four_bar
@@ -61,6 +62,12 @@ def test_measured_angles_that_leave_the_loop_open_all_move_a_little(tmp_path):
     start = begins(four_bar(tmp_path, TABLE.replace("left = 0.6", 'left = "first"')), first={"left": 0.3})
     assert start["right"] == pytest.approx(start["left"], abs=1e-9)
     assert 0.05 < start["left"] < 0.25
+
+
+@pytest.mark.parametrize(("version", "notes"), [("3.6.0", 1), ("3.7.0", 0), ("4.0.0", 0), ("3.10.1", 0)])
+def test_a_mujoco_that_lets_moving_loops_open_is_told(version, notes, tmp_path, monkeypatch):
+    monkeypatch.setattr(mujoco, "mj_versionString", lambda: version)
+    assert sum("update it to 3.7" in note for note in four_bar(tmp_path).notes) == notes
 
 
 def test_rates_that_would_tear_the_loop_are_made_to_fit(tmp_path):

@@ -33,6 +33,8 @@ from labrun.models.tables import ModelFile, MujocoFile
 from labrun.toml import Expression, ExpressionError, KeyPath, suggest
 
 Found = TypeVar("Found")
+_TIGHT_LOOPS = 3, 7
+"""The first MuJoCo whose `connect` and `weld` hold accelerations with the derivative of their Jacobian."""
 
 
 @dataclass(frozen=True)
@@ -310,6 +312,12 @@ def _notes(native: Any) -> tuple[str, ...]:
         notes.append("MuJoCo's sensor noise is left out: a model's outputs are without noise")
     if native.nplugin:
         notes.append("plugins of MuJoCo with states of their own are not advanced")
+    version = imported().mj_versionString()
+    if has_loops(native) and tuple(map(int, version.split(".")[:2])) < _TIGHT_LOOPS:
+        notes.append(
+            f"MuJoCo {version} neglects that the directions of constraints turn: moving loops open by some 1e-3 rad; "
+            "update it to 3.7"
+        )
     return tuple(notes)
 
 
