@@ -161,7 +161,7 @@ def conclude(
         effects=final.problem.attached(final.problem.parameters(final.z)) if causes else (),
         limitations=(*ladder.limitations_of(search), *search.limitations),
         notes=(*search.data.notes, *search.notes, *problem.model.notes, *search.remarks),
-        what_next=tuple(ladder.next_steps(decided, causes, rest, repeats)),
+        what_next=tuple(ladder.next_steps(decided, causes, rest, repeats, selection.stopped)),
         channels=channels,
         input_channels=input_channels,
         noise={output.name: float(sd) for output, sd in zip(dataset.outputs, search.noise.sd, strict=True)},

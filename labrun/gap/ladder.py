@@ -223,8 +223,19 @@ def limitations_of(search: Search) -> list[str]:
     return sentences
 
 
-def next_steps(verdict: Verdict, causes: Sequence[Cause], rest: Rest, repeats: int) -> list[str]:
-    """Return what to do now, in sentences."""
+def next_steps(
+    verdict: Verdict, causes: Sequence[Cause], rest: Rest, repeats: int, stopped: str = ""
+) -> list[str]:
+    """Return what to do now, in sentences.
+
+    Parameters
+    ----------
+    stopped
+        Why the search ended early, "interrupted" or "time"; "" where it ended by itself.
+    """
+    if stopped:
+        longer = "with a longer --within" if stopped == "time" else "again"
+        return [f"The search was not finished: run the same command {longer} for the whole answer."]
     steps = []
     doubtful = [cause for cause in causes if cause.rivals]
     for cause in doubtful:

@@ -234,6 +234,8 @@ def rest_words(diagnosis: Diagnosis) -> str:
     if rest.predictable is not None:
         signals = f" from {listed([spaced(name) for name in rest.depends_on])}" if rest.depends_on else ""
         text += f"; {percent(rest.predictable)} of its square is predictable{signals or ' from motion and inputs'}"
+    if not diagnosis.complete:
+        return f"{text}; the search was not finished"
     return f"{text}; nothing in the library explains it" if diagnosis.verdict != "explained" else text
 
 

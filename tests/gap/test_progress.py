@@ -67,6 +67,7 @@ def test_a_search_without_time_gives_the_recalibrated_model_and_says_that_it_is_
     assert [rung.step for rung in diagnosis.ladder] == ["as stated", "recalibrated"]
     answer = diagnosis.to_json()
     assert (answer["complete"], answer["stopped"]) == (False, "time")
+    assert "longer --within" in answer["what_next"][0]
 
 
 def test_an_interrupted_search_keeps_the_cause_that_it_has_found() -> None:
