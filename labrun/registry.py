@@ -61,15 +61,16 @@ class PluginEntry:
 
 
 @lru_cache(maxsize=1)
-def _all_entry_points() -> EntryPoints:
-    """Return the entry points of all distributions, whose files are read once a process."""
-    return entry_points()
+def _entry_points() -> dict[str, EntryPoints]:
+    """Return the entry points by group; the files of all distributions are read once a process."""
+    every = entry_points()
+    return {group: every.select(group=group) for group in (*GROUPS, RIGS)}
 
 
 @lru_cache(maxsize=len(GROUPS))
 def _entries(group: str) -> dict[str, tuple[EntryPoint, Distribution | None]]:
     """Return entry points by name, each with the distribution that brings it."""
-    entries = {entry.name: (entry, entry.dist) for entry in _all_entry_points().select(group=group)}
+    entries = {entry.name: (entry, entry.dist) for entry in _entry_points()[group]}
     return entries | {entry.name: (entry, dist) for entry, dist in _of_rigs() if entry.group == group}
 
 
@@ -77,7 +78,7 @@ def _entries(group: str) -> dict[str, tuple[EntryPoint, Distribution | None]]:
 def _of_rigs() -> list[tuple[EntryPoint, Distribution | None]]:
     """Return what the folders of all rigs declare; imports none of them."""
     rigs = []
-    for package in _all_entry_points().select(group=RIGS):
+    for package in _entry_points()[RIGS]:
         try:
             spec = find_spec(package.value)
         except ModuleNotFoundError as error:
@@ -109,7 +110,7 @@ def _declared(path: Path, rig: str) -> Iterator[EntryPoint]:
 
 def read_again() -> None:
     """Forget which plugins are installed; needed after a folder with distributions was added to `sys.path`."""
-    for cached in (_all_entry_points, _entries, _of_rigs):
+    for cached in (_entry_points, _entries, _of_rigs):
         cached.cache_clear()
 
 
