@@ -14,17 +14,26 @@ from labrun.logs.arrays import Arrays
 from labrun.logs.findings import Finding, Statement
 
 MOST_TIMES, SPARE_BYTES = 3, 256 * 2**20
-"""What a file unpacks to is at most so many times its size, and this more for small ones."""
+"""The numbers of a file take at most so many times its size in memory, and this more for small ones."""
 
 
-def require_affordable(path: Path, claimed_bytes: int) -> None:
-    """Raise RecordingError if a file claims to hold far more than it can."""
-    size = path.stat().st_size
-    if claimed_bytes > MOST_TIMES * size + SPARE_BYTES:
+def require_affordable(path: Path, count: int) -> None:
+    """Raise RecordingError if a file claims so many numbers that reading them takes far more memory than its size."""
+    size, needed = path.stat().st_size, 8 * count  # every number is read as a double, however it is stored
+    if needed > MOST_TIMES * size + SPARE_BYTES:
         raise RecordingError(
-            f"{path} has {size:,} bytes and claims to hold {claimed_bytes:,}",
+            f"{path} has {size:,} bytes and claims to hold {count:,} numbers, which take {needed:,} bytes of memory",
             hint="it is damaged, or packed very tightly: unpack it, or write less of it",
         )
+
+
+def as_numbers(given: Any) -> Any:
+    """Return an array of numbers as doubles, so that the original is not kept beside it; anything else as it is."""
+    return (
+        given.astype(np.float64, copy=False)
+        if isinstance(given, np.ndarray) and given.dtype.kind in "fiub"
+        else given
+    )
 
 
 class BoundedFile(io.BufferedReader):
@@ -47,30 +56,32 @@ def read_npz(path: Path) -> Arrays:
     try:
         if path.suffix.lower() == ".npy":
             with path.open("rb") as file:
-                require_affordable(path, _npy_bytes(npy, file))
-            return Arrays({path.stem: np.load(path, allow_pickle=False)})
+                require_affordable(path, _npy_size(npy, file)[0])
+            return Arrays({path.stem: as_numbers(np.load(path, allow_pickle=False))})
         with ZipFile(path) as archive:
-            require_affordable(path, sum(entry.file_size for entry in archive.infolist()))
+            total = 0
             for entry in archive.infolist():
                 with archive.open(entry) as file:
-                    if _npy_bytes(npy, file) > entry.file_size:
-                        raise ValueError("an array is longer than the file says")
+                    count, size = _npy_size(npy, file)
+                total += count
+                if size > entry.file_size:
+                    raise ValueError("an array is longer than the file says")
+            require_affordable(path, total)
         with np.load(path, allow_pickle=False) as archive:
-            return Arrays({name: archive[name] for name in archive.files})
+            return Arrays({name: as_numbers(archive[name]) for name in archive.files})
     except (OSError, ValueError, EOFError, BadZipFile, KeyError):
         raise RecordingError(
             f"{path} is no whole NumPy archive of numbers", hint="write it again with numpy.savez"
         ) from None
 
 
-def _npy_bytes(npy: Any, file: Any) -> int:
+def _npy_size(npy: Any, file: Any) -> tuple[int, int]:
+    """Return how many numbers an array has, and its bytes."""
     version = npy.read_magic(file)
     header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, _, dtype = header(file)
-    count = 1
-    for length in shape:
-        count *= int(length)
-    return count * int(dtype.itemsize)
+    count = math.prod(map(int, shape))
+    return max(count, count * int(dtype.itemsize) // 8), count * int(dtype.itemsize)
 
 
 def read_h5(path: Path) -> Arrays:
@@ -87,10 +98,11 @@ def read_h5(path: Path) -> Arrays:
             return
         if name.startswith("#refs#"):
             return
-        claimed += item.size * item.dtype.itemsize
+        claimed += item.size
         require_affordable(path, claimed)
         from_matlab = "MATLAB_class" in item.attrs
-        values[name] = _upright(item[()].T) if from_matlab else item[()]
+        table = as_numbers(item[()])
+        values[name] = _upright(table.T) if from_matlab else table
         unit = item.attrs.get("units", item.attrs.get("unit", ""))
         units[name] = unit.decode(errors="replace") if isinstance(unit, bytes) else str(unit)
 
@@ -108,10 +120,9 @@ def read_mat(path: Path) -> Arrays:
         start = file.read(128)
     if start[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in start:
         return read_h5(path)
-    sizes = {"double": 8, "single": 4, "int64": 8, "uint64": 8}
     with BoundedFile(path) as bounded:
         listed = whosmat(cast("Any", bounded))
-    require_affordable(path, sum(math.prod(shape) * sizes.get(kind, 4) for _, shape, kind in listed))
+    require_affordable(path, sum(math.prod(shape) for _, shape, _ in listed))
     with BoundedFile(path) as bounded:
         content = loadmat(cast("Any", bounded), simplify_cells=True)
     values: dict[str, Any] = {}
@@ -124,7 +135,7 @@ def read_mat(path: Path) -> Arrays:
             if isinstance(value, MatlabOpaque):
                 unread.append(key)
             elif isinstance(value, np.ndarray):
-                values[key] = _upright(value)
+                values[key] = _upright(as_numbers(value))
     findings: tuple[Finding, ...] = ()
     if unread:
         text = f"{path.name}: {', '.join(unread)} are objects of MATLAB (timeseries, table), which only MATLAB reads"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
 from labrun.errors import RecordingError, RequestError
@@ -18,6 +19,8 @@ from labrun.logs.streams import Stream
 
 _PERCENT_GRIPPERS = re.compile(r"(?i)so[-_]?10[01]|koch|lekiwi|omx")
 """Robots of LeRobot whose gripper is written as 0 to 100 of its range, whatever the other joints are in."""
+_BATCH = 65_536
+"""So many rows are decoded at once."""
 
 
 def read_parquet(path: Path, options: ReadOptions) -> list[Stream]:
@@ -46,9 +49,12 @@ def read_parquet(path: Path, options: ReadOptions) -> list[Stream]:
         findings.append(
             Statement(f"{path.name}: {', '.join(lost[:8])} are not in all {len(files)} files; left out")
         )
-    values: dict[str, Any] = {name: np.concatenate([table[name] for table in tables]) for name in shared}
+    lengths = [len(next(iter(table.values()), ())) for table in tables]
+    values: dict[str, Any] = {
+        name: np.concatenate([table.pop(name) for table in tables]) if len(tables) > 1 else tables[0][name]
+        for name in shared
+    }
     if len(files) > 1 and "episode_index" not in values:
-        lengths = [len(next(iter(table.values()))) for table in tables]
         values["episode_index"] = np.repeat(np.arange(len(files)), lengths)
     labels = {name: _names(entry.get("names")) for name, entry in information.get("features", {}).items()}
     findings += _counted(path, values, information)
@@ -64,22 +70,21 @@ def _table(file: Path, parquet: Any) -> dict[str, Any]:
 
     whole = parquet.ParquetFile(file)
     names = [field.name for field in whole.schema_arrow if _width(field.type, pa) is not None]
-    places = {
-        whole.metadata.schema.column(index).path.partition(".")[0]: index
-        for index in range(whole.metadata.num_columns)
-    }
     groups = [whole.metadata.row_group(index) for index in range(whole.metadata.num_row_groups)]
-    claimed = sum(
-        group.column(places[name]).total_uncompressed_size
-        for group in groups
-        for name in names
-        if name in places
+    chunks = [group.column(index) for group in groups for index in range(group.num_columns)]
+    require_affordable(
+        file, sum(chunk.num_values for chunk in chunks if chunk.path_in_schema.partition(".")[0] in names)
     )
-    require_affordable(file, max(claimed, 8 * whole.metadata.num_rows))
-    table = whole.read(columns=names)
-    return {
-        name: values for name in names if (values := _numbers(table[name].combine_chunks(), pa)) is not None
-    }
+    table = {}
+    for name in names:  # in pieces: Arrow takes several times as much memory for lists as their numbers need
+        pieces = [
+            _numbers(batch.column(0), pa)
+            for batch in whole.iter_batches(_BATCH, columns=[name], use_threads=False)
+        ]
+        arrays = [piece for piece in pieces if piece is not None]
+        if len(arrays) == len(pieces) > 0 and len({array.shape[1:] for array in arrays}) == 1:
+            table[name] = _since_first(np.concatenate(arrays), whole.schema_arrow.field(name).type, pa)
+    return table
 
 
 def _width(kind: Any, pa: Any) -> int | None:
@@ -90,7 +95,7 @@ def _width(kind: Any, pa: Any) -> int | None:
     return 1 if number else None
 
 
-def _numbers(column: Any, pa: Any) -> FloatArray | None:
+def _numbers(column: Any, pa: Any) -> NDArray[Any] | None:
     if _width(column.type, pa) == 2:
         flat = _numbers(column.flatten(), pa)
         width, remainder = divmod(0 if flat is None else len(flat), max(len(column), 1))
@@ -98,13 +103,19 @@ def _numbers(column: Any, pa: Any) -> FloatArray | None:
             None if flat is None or remainder or not width or column.null_count else flat.reshape(-1, width)
         )
     if pa.types.is_timestamp(column.type):
-        per_s = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[column.type.unit]
-        counts = column.cast(pa.int64())
-        first = next((count.as_py() for count in counts if count.is_valid), 0)
-        since: FloatArray = np.array(counts.to_numpy(zero_copy_only=False) - first, dtype=np.float64) / per_s
-        return since
+        counts: NDArray[Any] = column.cast(pa.int64()).to_numpy(zero_copy_only=False)
+        return counts
     numbers: FloatArray = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
     return numbers
+
+
+def _since_first(values: Any, kind: Any, pa: Any) -> FloatArray:
+    """Return numbers as doubles, and times as seconds since the first: their counts have more digits than a double."""
+    if not pa.types.is_timestamp(kind):
+        return np.asarray(values, dtype=np.float64)
+    per_s = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[kind.unit]
+    first = values[np.isfinite(values)][:1].sum()
+    return np.asarray(values - first, dtype=np.float64) / per_s
 
 
 def _information(path: Path) -> Mapping[str, Any]:

@@ -93,7 +93,7 @@ def read_pt(path: Path) -> Arrays:
     """Read the tensors of a file that ``torch.save`` wrote: a tensor, or dictionaries and lists of them."""
     try:
         with ZipFile(path) as archive:
-            require_affordable(path, sum(entry.file_size for entry in archive.infolist()))
+            require_affordable(path, sum(entry.file_size for entry in archive.infolist()) // 8)
             names = archive.namelist()
             description = next((name for name in names if name.endswith("/data.pkl")), None)
             if description is None:

@@ -149,10 +149,12 @@ def claim_unpacked(path):
 
 
 def claim_h5(path):
+    """Write data sets without storage; those of one byte a number take eight times as much in memory."""
     h5py = pytest.importorskip("h5py")
+    long, kind = (1_250_000_000, "f8") if path.stem == "log" else (100_000_000, "i1")
     with h5py.File(path, "w") as file:
         file["time"] = np.arange(10.0)
-        file.create_dataset("qpos", shape=(1_250_000_000,), dtype="f8", chunks=(1000,))
+        file.create_dataset("qpos", shape=(long,), dtype=kind, chunks=(1000,))
 
 
 def claim_mat(path):
@@ -180,6 +182,7 @@ def claim_parquet(path):
     ("name", "write"),
     [
         ("log.npy", claim_npy), ("log.npz", claim_npz), ("packed.npz", claim_unpacked), ("log.h5", claim_h5),
+        ("bytes.h5", claim_h5),
         ("log.mat", claim_mat), ("log.ulg", claim_ulg), ("log.parquet", claim_parquet),
     ],
 )  # fmt: skip
