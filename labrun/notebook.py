@@ -1,8 +1,6 @@
 """Results that show themselves in a notebook."""
 
-import base64
-from html import escape
-from importlib import import_module
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +8,11 @@ from typing import Any
 def as_html(text: str, figure: Path | None = None) -> str:
     """Return what a notebook shows of a result.
 
-    `told`: what the terminal shows of it. `figure`: its picture, a PNG; left out if it is not there any more.
+    `text`: what the terminal shows of it. `figure`: its picture, a PNG; left out if it is not there any more.
     """
+    import base64
+    from html import escape
+
     picture = ""
     if figure is not None and figure.is_file():
         data = base64.b64encode(figure.read_bytes()).decode()
@@ -21,9 +22,17 @@ def as_html(text: str, figure: Path | None = None) -> str:
     return f"<div>{picture}<pre>{escape(text)}</pre></div>"
 
 
-def as_reported(words: str, *result: Any) -> str:
-    """Return what a notebook shows of a result whose words stand in `labrun.report`.
+_reporters: list[Callable[[str], Callable[..., str]]] = []
 
-    `words`: the function there that makes them, looked up only when a notebook asks: results stand below the report.
+
+def report_with(reporter: Callable[[str], Callable[..., str]]) -> None:
+    """Set what returns the reports' functions by name: results stand below the reports that put them in words."""
+    _reporters[:] = [reporter]
+
+
+def as_reported(name: str, *result: Any) -> str:
+    """Return what a notebook shows of a result that a report puts in words.
+
+    `name`: of the report's function, looked up only when a notebook asks; without reports the result's `repr` is shown.
     """
-    return as_html(getattr(import_module("labrun.report"), words)(*result))
+    return as_html(_reporters[0](name)(*result) if _reporters else repr(result[0]))

@@ -1,6 +1,7 @@
 """Results in a notebook."""
 
 import base64
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,7 @@ def test_what_a_result_tells_never_becomes_markup(tmp_path):
     ids=lambda entry: type(entry).__name__,
 )
 def test_what_a_command_prints_is_what_a_notebook_shows(result, words):
+    import_module("labrun.app")  # as every command and every function of the API does
     assert result._repr_html_() == as_html(words(result))
 
 

@@ -1,4 +1,4 @@
-"""Does the laboratory's order hold in the field? Gaits by water, how far both orders agree, which gait to take."""
+"""Does the laboratory's order hold in the field? Gaits by setting, how far both orders agree, which gait to take."""
 
 import json
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ def rank(
     laboratories
         Runs that the gaits were found or measured in: an experiment's name (its latest run) or a run folder.
     field
-        The run in the field; its conditions are the gaits, and its settings (`run.over`) the waters.
+        The run in the field; its conditions are the gaits, each measured at every setting (`run.over`).
     objective
         Of the field; the one with a goal, or the first, if None.
     seed
@@ -120,7 +120,7 @@ def _with_winner(ranking: Ranking) -> Ranking:
         if len(known) == len(bounds):
             worst[index] = min(known)
     if not worst:
-        note = "no gait has two trials that count in every water, so that none can be taken"
+        note = "no gait has two trials that count at every setting, so that none can be taken"
         return replace(ranking, notes=(*ranking.notes, note))
     best = max(worst.values())
     first, *tied = [index for index, bound in worst.items() if bound == best]

@@ -134,7 +134,7 @@ def rank(
 ) -> None:
     """Hold the order of gaits in the laboratory against that in the field, and name the gait to take.
 
-    Prints every gait in each water, the rank correlation with its interval and p, and why that gait.
+    Prints every gait at each setting, the rank correlation with its interval and p, and why that gait.
 
     Example:  labrun rank turn-torque turn-torque-current --field field-turn
     """

@@ -421,7 +421,7 @@ COMMON = (
     "motion-profile", "integral-term", "asymmetric-damping",
 )  # fmt: skip
 """How often a bench lacks it, most often first (judged, not counted): friction and offsets are everywhere, and so is
-inertia that nobody drew (of a rotor, of water). What is not here comes last."""
+inertia that nobody drew (of a rotor, of a fluid). What is not here comes last."""
 
 
 def family(first: Name, other: Name) -> str:

@@ -24,7 +24,7 @@ _GRID = 0.002
 """Steps of the lengths that are looked at, in cycles of the fastest joint."""
 _MOST_LENGTHS = 200_000
 _HARMONICS = 4
-"""Forces of water go with the square of speed: a joint leaves multiples of its frequency. Higher ones leave little."""
+"""Forces of a fluid go with the square of speed: a joint leaves multiples of its frequency, higher ones little."""
 _CYCLES_TO_SEE = 2.0
 """A line needs so many cycles in the window to be told apart from the mean (a Hann window is as wide)."""
 _SAME_HZ = 1e-9

@@ -287,7 +287,7 @@ def _overlays(comparison: Comparison) -> list[Stack]:
 
 
 def ranking_text(ranking: Ranking) -> str:
-    """Return the table of gaits by water, the agreements, and which gait to take, and why."""
+    """Return the table of gaits by setting, the agreements, and which gait to take, and why."""
     heads = [condition_text(column.setting) or ranking.objective for column in ranking.columns]
     labs = [Path(path).parent.name for path in ranking.laboratories]
     measured_in = [
@@ -344,7 +344,7 @@ def _winner_lines(ranking: Ranking, heads: Sequence[str]) -> list[str]:
     sign = 1.0 if ranking.maximise else -1.0
     bound, head = min(((b, h) for b, h in bounds if b is not None), key=lambda item: sign * item[0])
     end, beyond = ("from", "greatest") if ranking.maximise else ("up to", "least")
-    why = f"in its worst water ({head}) its interval goes {end} {bound:.4g} {ranking.unit}, the {beyond} of all gaits"
+    why = f"in its worst setting ({head}) its interval goes {end} {bound:.4g} {ranking.unit}, the {beyond} of all gaits"
     return [
         f"take {ranking.name(winner)}: {why}",
         f"          {condition_text(ranking.gaits[winner], ranking.gait_units)}",

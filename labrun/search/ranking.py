@@ -60,7 +60,7 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One gait in one water: its mean, with its 95 % interval (see `pooled_intervals`); None without two trials."""
+    """One gait at one setting: its mean, with its 95 % interval (see `pooled_intervals`); None without two trials."""
 
     mean: float
     ci95: tuple[float, float] | None
@@ -69,7 +69,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class FieldColumn:
-    """One water of the field, and how far its order agrees with that of each laboratory run."""
+    """One setting of the field, and how far its order agrees with that of each laboratory run."""
 
     setting: Condition
     cells: tuple[Cell | None, ...]
@@ -93,7 +93,7 @@ class Ranking:
     columns
         One a setting of the field.
     winner
-        Place of the gait whose lower bound in its worst water is greatest; None where no gait has an interval in all.
+        Place of the gait whose lower bound in its worst setting is greatest; None where no gait has an interval in all.
     notes
         What else there is to say.
     laboratory_units
@@ -195,7 +195,7 @@ def agreement(
 def pooled_intervals(
     samples: Sequence[FloatArray], truncations: Sequence[float]
 ) -> list[tuple[float, float] | None]:
-    """Return the 95 % t-interval of each candidate's mean in one water; None where it has fewer than two trials.
+    """Return the 95 % t-interval of each candidate's mean at one setting; None where it has fewer than two trials.
 
     With a few trials each, a candidate's own scatter is mostly luck: an interval from it would be narrow or wide by
     chance, and choosing by its end would choose by that chance. So the variance is pooled over the candidates, as in an

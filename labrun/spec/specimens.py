@@ -15,7 +15,7 @@ _PLACE = re.compile(r"\{([^{}]*)\}")
 
 
 class ByHand(Table):
-    """Values of a condition that somebody has to see to: a specimen, a mass, the water in the tank.
+    """Values of a condition that somebody has to see to: a specimen, a mass, the level in a tank.
 
     Trials are measured in blocks of equal values, one a mounting; `ask` is what the person is told at each.
     """

@@ -88,7 +88,7 @@ def test_an_order_that_holds_names_the_best_gait_and_says_why(bench, tmp_path):
         assert agreed.tau == pytest.approx(1.0)
         assert agreed.tau_p == pytest.approx(2 / 24)
     text = ranking_text(result)
-    assert "take gait 1: in its worst water (water = " in text
+    assert "take gait 1: in its worst setting (water = " in text
     assert "exact p" in text
     (stored,) = (tmp_path / "results" / "field").glob("*/ranking.json")
     assert json.loads(stored.read_text())["winner"] == "gait 1"
