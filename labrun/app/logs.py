@@ -365,7 +365,7 @@ def _read(paths: Sequence[Path], model: Path, answers: LogAnswers) -> _Reading:
         return _Reading(robot, matches, columns, None, [], [], findings)
     lost = in_no_trial(whole, trials, [piece for piece, _ in bad])
     names, trials, trimmed = motions(whole, trials)
-    findings += [*map(Statement, _left_out(whole, bad)), Statement(f"cut {how}"), *lost, *trimmed]
+    findings += [*map(Statement, _left_out(whole, bad)), Statement(how), *lost, *trimmed]
     return _Reading(robot, matches, columns, whole, trials, names, findings)
 
 

@@ -38,21 +38,21 @@ def cut(table: LogTable, every_s: float | None, bad: Sequence[Piece]) -> tuple[l
     if every_s is not None:
         return _kept(
             table, [part for piece in pieces for part in _evenly(table, piece, every_s)]
-        ), f"every {every_s:g} s"
+        ), f"cut every {every_s:g} s"
     if table.episode is not None:
         count = len(np.unique(np.stack([table.log, table.episode]), axis=1).T)
-        return _kept(table, pieces), f"into its {count} episode{'s' * (count != 1)}"
+        return _kept(table, pieces), f"cut into its {count} episode{'s' * (count != 1)}"
     rests = _rests(table)
     at_rest = _kept(table, [part for piece in pieces for part in _between_rests(table, piece, rests)])
     if len(at_rest) > len(_kept(table, pieces)):
-        return at_rest, f"at rests of {REST_S:g} s and more"
+        return at_rest, f"cut at rests of {REST_S:g} s and more"
     longest_s = max(
         (table.time_s[piece.end - 1] - table.time_s[piece.first] for piece in pieces), default=0.0
     )
     if longest_s > LONG_S:
         parts = [part for piece in pieces for part in _evenly(table, piece, CUT_S)]
-        return _kept(table, parts), f"every {CUT_S:g} s, as it has no rests"
-    return _kept(table, pieces), "not at all" if len(pieces) == 1 else "where it is broken"
+        return _kept(table, parts), f"cut every {CUT_S:g} s, as it has no rests"
+    return _kept(table, pieces), "not cut: one trial" if len(pieces) == 1 else "cut at its gaps"
 
 
 def _rests(table: LogTable) -> list[Piece]:

@@ -74,19 +74,19 @@ def joint_rows(robot: RobotDiagnosis) -> list[list[str]]:
         diagnosis, gap = joint.diagnosis, joint.diagnosis.gap
         alone = moved_words(joint) or _ALONE.get(diagnosis.verdict, HEADLINES[diagnosis.verdict])
         causes = " + ".join(cause_words(cause) for cause in diagnosis.causes) or alone
-        sure = ", ".join(percent(cause.confidence) for cause in diagnosis.causes)
+        confidence = ", ".join(percent(cause.confidence) for cause in diagnosis.causes)
         unit = joint.error_unit or joint.joint.unit
         errors = [
             f"{number(value, 2)} {unit}" for value in (joint.stated, joint.recalibrated, joint.corrected)
         ]
         after = times_noise(gap.after) if diagnosis.causes else ""
-        rows.append([joint.joint.name, causes, sure, times_noise(gap.recalibrated), after, *errors])
+        rows.append([joint.joint.name, causes, confidence, times_noise(gap.recalibrated), after, *errors])
     return rows
 
 
 def robot_lines(diagnosis: RobotDiagnosis, files: Mapping[str, Path] | None = None) -> list[str]:
     """Return the verdict, a line a joint, the sizes of what was found, and what was written."""
-    heads = ["joint", "cause", "sure", "gap", "with cause", "stated", "recalibrated", "corrected"]
+    heads = ["joint", "cause", "confidence", "gap", "with cause", "stated", "recalibrated", "corrected"]
     lines = [diagnosis.sentence, "", *aligned([heads, *joint_rows(diagnosis)])]
     sizes = size_lines(diagnosis)
     lines += ["", *sizes] if sizes else []
