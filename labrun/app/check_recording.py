@@ -1,7 +1,7 @@
 """The check of a recording: read whole, held against its model as stated, before any fit; nothing is written."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,21 +10,22 @@ import numpy as np
 
 from labrun.app.diagnose_robot import ROBOT, joint_by_joint, robot_of
 from labrun.app.question import ask, held_against, load_held, named_model
+from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.fit import Dataset, OutputsAlone, Problem, divergence_warnings, load_dataset
 from labrun.gap import require_informative, with_sound_clocks
-from labrun.logs import find_jumps
+from labrun.logs import doubts_of_columns, doubts_of_ranges, doubts_of_trial
 from labrun.models import Model
 from labrun.report import aligned, counted, short_time_text
 from labrun.spec import condition_key
-from labrun.store import Recording, find_data, is_recording, read_recording
+from labrun.store import Recording, SignalInfo, find_data, is_recording, read_recording
 
 _TURNED_TOO_FAR = 2.2 * math.pi
 """An angle in rad beyond 1.1 turns may be one in degrees; logs of robots are asked the same."""
 _DEGREES = 400.0
-_TURNS = {"rad": 2 * math.pi, "deg": 360.0}
+_ANGLES = ("rad", "deg")
 _SLOWEST_S = 5.0
-"""Whole numbers of seconds that step by more are milliseconds more often than seconds."""
+"""Whole numbers, and times of angles, that step by more seconds are milliseconds more often."""
 _STILL, _STILL_RAD = 0.01, 0.02
 """A joint stands still if it varies by less than this part of its range, or by less rad (m) where it has none."""
 _FAR_OFF = 3.0
@@ -148,7 +149,7 @@ def check_recording(target: str | Path, *, model: str | Path | None = None) -> C
         recording,
         loaded.name,
         off,
-        (*doubts(recording), *remarks, *messages, *_of_robot(folder, model)),
+        (*doubts(recording), *remarks, *messages, *_of_robot(folder, model, data)),
         f"labrun gap diagnose {folder}{named}",
     )
 
@@ -221,31 +222,25 @@ def doubts(recording: Recording) -> Iterator[str]:
             yield f"{name} is said to be in rad and reaches {max(-low, high):.4g}: is it in degrees?"
         if kind == "input" and low == high:
             yield f"{name} is {low:.4g} throughout: nothing was told to move, or another column was meant"
-    yield from _jumps(recording)
     steps = [float(np.median(np.diff(trial.time_s))) for trial in recording.trials if len(trial.time_s) > 2]
     whole = all(bool(np.all(trial.time_s == np.round(trial.time_s))) for trial in recording.trials)
-    if steps and whole and min(steps) > _SLOWEST_S:
-        yield f"time_s steps by {min(steps):.4g} s in whole numbers: are they milliseconds?"
+    turning = any(info.unit in _ANGLES for info in (*recording.inputs, *recording.outputs))
+    if steps and (whole or turning) and min(steps) > _SLOWEST_S:
+        yield f"time_s steps by {min(steps):.4g} s: are they milliseconds, or less?"
+    places: dict[str, list[str]] = {}
+    for trial in recording.trials:
+        inputs, outputs = _by_name(recording.inputs, trial.inputs), _by_name(recording.outputs, trial.outputs)
+        for text, place in doubts_of_trial(trial.source_file.name, trial.time_s, inputs, outputs):
+            places.setdefault(text, []).append(place)
+    for text, where in places.items():
+        more = f" and in {len(where) - 3} more places" if len(where) > 3 else ""
+        yield f"{text} ({'; '.join(where[:3])}{more})"
+    known = {"time_s", *(info.name for info in (*recording.inputs, *recording.outputs))}
+    yield from doubts_of_columns(recording.trials[0].source_file, known)
 
 
-def _jumps(recording: Recording) -> Iterator[str]:
-    """Yield where an angle jumps by whole turns from one sample to the next."""
-    for kind, infos in (("inputs", recording.inputs), ("outputs", recording.outputs)):
-        for index, info in enumerate(infos):
-            if info.unit not in _TURNS:
-                continue
-            turn = _TURNS[info.unit]
-            jumps = [
-                (trial.source_file.name, jump)
-                for trial in recording.trials
-                for jump in find_jumps(getattr(trial, kind)[:, index], (turn,))
-            ]
-            if jumps:
-                file, jump = jumps[0]
-                yield (
-                    f"{info.name} jumps by {turn:.4g} {info.unit} between two samples {len(jumps)} "
-                    f"time{'s' * (len(jumps) != 1)}, first at line {jump.row + 2} of {file}: did its counter wrap?"
-                )
+def _by_name(infos: Sequence[SignalInfo], values: FloatArray) -> dict[str, tuple[str, FloatArray]]:
+    return {info.name: (info.unit, values[:, index]) for index, info in enumerate(infos)}
 
 
 def _held(model: Model, data: Dataset) -> tuple[dict[str, tuple[float, float]], list[str]]:
@@ -269,9 +264,12 @@ def _held(model: Model, data: Dataset) -> tuple[dict[str, tuple[float, float]], 
     return off, warnings
 
 
-def _of_robot(folder: Path, model: str | Path | None) -> list[str]:
-    """Return how a robot would be diagnosed."""
+def _of_robot(folder: Path, model: str | Path | None, data: Dataset) -> list[str]:
+    """Return which joints leave their range in the robot's file, and how the robot would be diagnosed."""
     reason = None if model is not None else joint_by_joint(folder)
     if reason is None:
         return []
-    return [f"a robot, diagnosed as a whole: {reason}" if reason else "a robot, diagnosed joint by joint"]
+    ranges = {joint.output: joint.range for joint in robot_of(folder, data).joints}
+    values = np.concatenate([trial.outputs for trial in data.trials])
+    how = f"a robot, diagnosed as a whole: {reason}" if reason else "a robot, diagnosed joint by joint"
+    return [*doubts_of_ranges(_by_name(data.outputs, values), ranges), how]

@@ -10,6 +10,7 @@ from labrun.logs.files import read_log
 from labrun.logs.findings import Finding, Question, Statement, questions, require_answered, statements
 from labrun.logs.matching import NOT, Match, Wanted, matched, numbered, unused
 from labrun.logs.preview import HEADER, ChannelPreview, previews
+from labrun.logs.recorded import doubts_of_columns, doubts_of_ranges, doubts_of_trial
 from labrun.logs.stamps import SCALES
 from labrun.logs.streams import Column, Stream, column, plain
 from labrun.logs.trials import LEAST_TRIAL_S, cut, in_no_trial, motions
@@ -21,7 +22,8 @@ __all__ = [
     "HEADER", "LEAST_SAMPLES", "LEAST_TRIAL_S", "NOT", "SCALES", "TICKS", "AskedUnits", "ChannelPreview", "Column",
     "Finding", "LogTable", "Match", "Piece", "Question", "ReadOptions", "StampSource", "Statement", "Stream",
     "Unit", "Wanted", "align_clocks", "check_ranges",
-    "column", "correct_turns", "cut", "decide_units", "find_jumps", "in_no_trial",
+    "column", "correct_turns", "cut", "decide_units", "doubts_of_columns", "doubts_of_ranges",
+    "doubts_of_trial", "find_jumps", "in_no_trial",
     "joined", "matched", "motions", "numbered", "plain", "previews", "questions", "read_log", "require_answered",
     "require_free", "statements", "table_of", "unusable", "unused", "write_recording",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
 from labrun.logs.findings import Finding, Question, Statement
-from labrun.logs.streams import Column, Stream
+from labrun.logs.streams import Stream
 
 _LEAST_SAMPLES = 20
 _RETURNS = 0.1
@@ -31,7 +31,8 @@ def separate_publishers(stream: Stream, chosen: Mapping[str, int]) -> tuple[Stre
     for stem in dict.fromkeys(column.stem for column in columns if column.stem):
         own = [column for column in columns if column.stem == stem and column.role in ("position", "command")]
         labels = next(
-            (guess for column in own if (guess := _writers(column, stream.publisher)) is not None), None
+            (guess for column in own if (guess := find_writers(column.values, stream.publisher)) is not None),
+            None,
         )
         if labels is None:
             continue
@@ -68,13 +69,16 @@ def _span(values: FloatArray) -> tuple[float, float, int]:
     return (float(finite.min()), float(finite.max()), len(finite)) if len(finite) else (0.0, 0.0, 0)
 
 
-def _writers(column: Column, publisher: NDArray[np.int64] | None) -> NDArray[np.int64] | None:
-    """Return who wrote each sample, -1 for none; None where one writer explains all of them."""
-    rows = np.flatnonzero(np.isfinite(column.values))
-    values = column.values[rows]
+def find_writers(signal: FloatArray, publisher: NDArray[np.int64] | None) -> NDArray[np.int64] | None:
+    """Return who wrote each sample of a signal, -1 for none; None where one writer explains all of them.
+
+    `publisher`: who sent each message, where the log says so.
+    """
+    rows = np.flatnonzero(np.isfinite(signal))
+    values = signal[rows]
     if len(values) < _LEAST_SAMPLES or not _returns(values):
         return None
-    labels = np.full(len(column.values), -1)
+    labels = np.full(len(signal), -1)
     named = None if publisher is None else publisher[rows]
     for guess in (named, _constant(values), _tracks(values)):
         if guess is not None and len(np.unique(guess)) > 1 and _apart(values, guess):

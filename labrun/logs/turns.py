@@ -119,7 +119,7 @@ def _corrected(match: Match, findings: list[Finding]) -> Match:
     jumps = find_jumps(values, tuple(dict.fromkeys(lengths)), edges)
     if not jumps:
         return match
-    lasting, alone = _sorted(jumps)
+    lasting, alone = sort_jumps(jumps)
     name, period_s = match.wanted.channel, float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
     for jump in lasting:
         end = len(values)
@@ -148,7 +148,7 @@ def _corrected(match: Match, findings: list[Finding]) -> Match:
     return replace(match, column=replace(column, values=whole))
 
 
-def _sorted(jumps: Sequence[Jump]) -> tuple[list[Jump], list[tuple[int, int]]]:
+def sort_jumps(jumps: Sequence[Jump]) -> tuple[list[Jump], list[tuple[int, int]]]:
     """Return the jumps that last, and where a jump is taken back at once (first sample, end)."""
     lasting: list[Jump] = []
     alone: list[tuple[int, int]] = []
@@ -167,6 +167,14 @@ def _sorted(jumps: Sequence[Jump]) -> tuple[list[Jump], list[tuple[int, int]]]:
         lasting.append(jump)
         index += 1
     return lasting, alone
+
+
+def turns_from_goal(values: FloatArray, goals: FloatArray, turn: float) -> int:
+    """Return by how many whole turns a joint is measured away from its goals, 0 where it is no whole number."""
+    off = (values - goals) / turn
+    middle = float(np.nanmedian(off))
+    turns = round(middle)
+    return turns if abs(middle - turns) < _OFF and np.nanmean(np.abs(off - turns) < _MOST_STEP) > 0.9 else 0
 
 
 def _beside_goal(goal: Match, measured: Match, findings: list[Finding]) -> Match:
@@ -188,9 +196,8 @@ def _beside_goal(goal: Match, measured: Match, findings: list[Finding]) -> Match
             continue
         expected = np.interp(stream.time_s[rows], goal.stream.time_s[finite], goal.column.values[finite])
         expected = (expected * goal.to_si[0] + goal.to_si[1] - measured.to_si[1]) / measured.to_si[0]
-        off = float(np.nanmedian(values[rows] - expected)) / measured.turn
-        turns = round(off)
-        if turns and abs(off - turns) < _OFF:
+        turns = turns_from_goal(values[rows], expected, measured.turn)
+        if turns:
             values[rows] -= turns * measured.turn
             moved.append(f"{turns:+d}")
     if not moved:

@@ -140,23 +140,80 @@ def test_a_recording_whose_time_jumps_in_every_trial_is_refused_by_check_and_fit
             use(folder)
 
 
-def test_an_angle_whose_counter_wrapped_is_told_with_its_line(tmp_path):
-    folder = swing(tmp_path / "arm")
-    rows = (folder / "1.csv").read_text().splitlines()
-    rows[9:] = [f"{row.split(',')[0]},{float(row.split(',')[1]) - 2 * np.pi:.6f}" for row in rows[9:]]
-    (folder / "1.csv").write_text("\n".join(rows) + "\n")
-    (message, *_) = [text for text in check_recording(folder).remarks if "jumps" in text]
-    assert "angle jumps by 6.283 rad between two samples 1 time, first at line 10 of 1.csv" in message
+def step(rows, first, end=None, by=2 * np.pi):
+    rows[first:end, 2] += by
+    return rows
 
 
-def test_whole_numbers_of_seconds_far_apart_may_be_milliseconds(tmp_path):
-    folder = swing(tmp_path / "arm", model="")
-    for file in folder.glob("*.csv"):
-        head, *rows = file.read_text().splitlines()
-        file.write_text(
-            "\n".join([head, *(f"{50 * k},{row.split(',')[1]}" for k, row in enumerate(rows))]) + "\n"
-        )
-    assert any("are they milliseconds?" in text for text in check_recording(folder).remarks)
+def second_writer(rows):
+    rows[::2, 2] = 0
+    return rows
+
+
+def frozen(rows):
+    rows[100:150, 2] = rows[100, 2]
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("change", "names", "expected"),
+    [
+        (
+            lambda rows: step(rows, 30),
+            "",
+            "angle jumps by 6.283 rad between two samples: did its counter wrap? (1 time, first at line 32 of 1.csv)",
+        ),
+        (
+            lambda rows: step(rows, 30, 31),
+            "",
+            "angle lies 6.283 rad off for a sample or two: a glitch of its counter? "
+            "(1 time, first at line 32 of 1.csv)",
+        ),
+        (
+            lambda rows: step(rows, 0),
+            "",
+            "angle is measured +1 whole turns from angle_command: did it lose a turn? (1.csv)",
+        ),
+        (
+            second_writer,
+            "",
+            "angle goes away and back from sample to sample, as if two sources wrote it (1.csv)",
+        ),
+        (frozen, "", "angle is frozen (lines 102 to 151 of 1.csv)"),
+        (lambda rows: rows * [1000, 1, 1], "", "time_s steps by 10 s: are they milliseconds, or less?"),
+        (
+            lambda rows: np.column_stack([rows, 0.98 * rows[:, 0]]),
+            ",sim_time",
+            "stamps are time_s; sim_time holds time as well and runs at 0.98 of it: which clock is the robot's?",
+        ),
+        (
+            lambda rows: np.column_stack([rows, np.arange(len(rows)) // 100]),
+            ",episode",
+            "1.csv: episode tells 3 episodes in one trial: each is a trial, with a file of its own",
+        ),
+        (
+            lambda rows: np.column_stack([rows, rows[:, 1]]),
+            ",tau_con",
+            "1.csv: tau_con: not used, as recording.toml has no such channel",
+        ),
+    ],
+    ids=["wrap", "glitch", "turn", "writers", "frozen", "milliseconds", "clocks", "episodes", "unused"],
+)
+def test_what_an_import_doubts_is_told_of_a_recording_with_its_lines(tmp_path, change, names, expected):
+    time_s = 0.01 * np.arange(300)
+    command = 0.5 * np.sin(2 * time_s)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(300)
+    rows = change(np.column_stack([time_s, command, command + noise]))
+    channels = [
+        f'[channels.{name}]\nkind = "{kind}"\nunit = "rad"'
+        for name, kind in (("angle_command", "input"), ("angle", "output"))
+    ]
+    (tmp_path / "recording.toml").write_text("\n".join([*channels, '[[trials]]\nfile = "1.csv"']))
+    np.savetxt(
+        tmp_path / "1.csv", rows, delimiter=",", header=f"time_s,angle_command,angle{names}", comments=""
+    )
+    remarks = check_recording(tmp_path).remarks
+    assert remarks[-2] == expected
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "cp1252"])
