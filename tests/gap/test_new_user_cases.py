@@ -45,7 +45,7 @@ def test_stribeck_friction_of_six_trials_has_no_rival_coulomb_friction() -> None
     dataset = diagnose_dataset(
         recorded(stribeck, repeats=1, noise=2e-3, conditions=SIX),
         pendulum(),
-        among("coulomb-friction", "stribeck-friction", "quadratic-drag"),
+        among("coulomb-friction", "stribeck-friction"),
     )
     assert effects(dataset) == {"stribeck-friction"}
     assert "coulomb-friction" not in rivals(dataset, "stribeck-friction")
@@ -114,9 +114,7 @@ def loose_servo() -> Dataset:
 
 
 def test_play_and_friction_of_a_link_are_both_told_and_friction_alone_never_stands_for_them() -> None:
-    dataset = diagnose_dataset(
-        loose_servo(), parse_model(SERVO, "servo.toml"), among(*PLAY, *FRICTION, "delay")
-    )
+    dataset = diagnose_dataset(loose_servo(), parse_model(SERVO, "servo.toml"), among(*PLAY, *FRICTION))
     named = effects(dataset) | {rival.effect for cause in dataset.causes for rival in cause.rivals}
     assert named & set(PLAY)
     assert named & set(FRICTION)

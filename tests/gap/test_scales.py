@@ -1,5 +1,7 @@
 """What is typical at a site: what effects are measured in."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -62,6 +64,7 @@ LINK = {"inertia": 4e-3, "stiffness": 12.0, "damping": 0.015}
 """Behind the transmission; the motor has what is left of 9e-3 kg m^2."""
 
 
+@cache
 def shaken() -> Dataset:
     """Return one long log of a motor that turns slowly a long way and is shaken; its link hangs on a spring."""
     time_s = np.arange(0.0, 10.0, 1 / 250)

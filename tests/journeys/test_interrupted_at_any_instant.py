@@ -64,7 +64,7 @@ def check(process: subprocess.Popen[str], folder: Path, number: int) -> None:
 
 @pytest.mark.parametrize(
     ("name", "count"),
-    [("SIGINT", 1), ("SIGTERM", 1), ("SIGHUP", 1)]
+    [("SIGINT", 1), ("SIGTERM", 1)]
     + [pytest.param(name, 15, marks=pytest.mark.slow) for name in ("SIGINT", "SIGTERM", "SIGHUP")],
 )
 def test_a_run_that_is_asked_to_stop_again_and_again_ends_once(name, count, command, labrun, tmp_path):

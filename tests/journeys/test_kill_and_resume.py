@@ -139,7 +139,7 @@ def test_a_design_killed_at_random_instants_is_the_same_design(labrun, command, 
     ("arguments", "most"),
     [
         pytest.param(SWEEP, 2, id="sweep"),
-        pytest.param(SEARCH, 2, id="search"),
+        pytest.param((*SEARCH, "--set", "cmaes.stop.iterations=3"), 2, id="search"),
         *(
             pytest.param(entry, most, id=f"{name}-{most}", marks=pytest.mark.slow)
             for name, entry, most in (

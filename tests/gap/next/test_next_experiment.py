@@ -137,7 +137,7 @@ PAIRS = {
 }  # fmt: skip
 
 
-QUICK = ("delay or lag", "friction that depends on the load, or not")
+QUICK = ("friction that depends on the load, or not",)
 
 
 @pytest.fixture(

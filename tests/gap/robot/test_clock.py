@@ -13,6 +13,11 @@ RNG = 5
 STEP_S = 1e-3
 
 
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    return logged(tmp_path_factory.mktemp("log"), 0.0, FAR_END_M, 0.95)
+
+
 def with_angles_early(result: Prescribed, samples: list[int]) -> Prescribed:
     """Return a log in which the angle of each joint was stamped so many samples early; late if negative."""
     trials = []
@@ -28,16 +33,16 @@ def with_angles_early(result: Prescribed, samples: list[int]) -> Prescribed:
 
 
 @pytest.mark.parametrize("samples", [3, pytest.param(-2, marks=pytest.mark.slow)])
-def test_a_clock_that_all_joints_share_is_found_beside_gains_that_are_off(tmp_path, samples):
-    result = with_angles_early(logged(tmp_path, 0.0, FAR_END_M, 0.95), [samples] * 4)
+def test_a_clock_that_all_joints_share_is_found_beside_gains_that_are_off(log, samples):
+    result = with_angles_early(log, [samples] * 4)
     lead_s = common_lead(result, np.random.default_rng(RNG))
     # the simulator that wrote the log moves on with the rates at the end of its steps: early by half of one
     assert lead_s == pytest.approx(samples * SAMPLE_S + 0.5 * STEP_S, abs=2e-4)
 
 
-@pytest.mark.parametrize("samples", [[0, 0, 0, 0], [0, 0, 3, 0], [0, 2, 0, -2]])
-def test_joints_that_do_not_agree_have_no_common_clock(tmp_path, samples):
-    result = with_angles_early(logged(tmp_path, 0.0, FAR_END_M, 0.95), samples)
+@pytest.mark.parametrize("samples", [[0, 0, 3, 0], [0, 2, 0, -2]])
+def test_joints_that_do_not_agree_have_no_common_clock(log, samples):
+    result = with_angles_early(log, samples)
     assert common_lead(result, np.random.default_rng(RNG)) == 0.0
 
 

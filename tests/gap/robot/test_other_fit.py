@@ -27,8 +27,13 @@ def numbers(values):
     return {(value.element, value.quantity): value.value for value in values}
 
 
-def test_damping_where_friction_is_stands_in_for_friction_and_a_needless_number_is_not_asked_for(tmp_path):
-    robot, model, dataset = logged(tmp_path, 0.4)
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    return logged(tmp_path_factory.mktemp("log"), 0.4)
+
+
+def test_damping_where_friction_is_stands_in_for_friction_and_a_needless_number_is_not_asked_for(log):
+    robot, model, dataset = log
     results = [FittedValue("elbow", "damping", 0.9), FittedValue("shoulder", "armature", 0.0515)]
     fit = judge_fit(robot, model, dataset, diagnosis({}, {}, [FRICTION], [CAUSE]), results)
     damping, armature = fit.values
@@ -39,8 +44,8 @@ def test_damping_where_friction_is_stands_in_for_friction_and_a_needless_number_
     assert elbow.corrected < 0.5 * elbow.fitted < elbow.stated
 
 
-def test_the_friction_that_is_there_holds(tmp_path):
-    robot, model, dataset = logged(tmp_path, 0.4)
+def test_the_friction_that_is_there_holds(log):
+    robot, model, dataset = log
     results = [FittedValue("elbow", "frictionloss", 0.39)]
     fit = judge_fit(robot, model, dataset, diagnosis({}, {}, [FRICTION], [CAUSE]), results)
     assert [value.judgement for value in fit.values] == ["holds"]

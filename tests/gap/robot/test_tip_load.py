@@ -67,8 +67,9 @@ def test_a_load_starts_to_be_looked_for_where_the_last_link_ends(tmp_path):
     assert logged(tmp_path, 0.0, FAR_END_M, 1.0).tip.far_end == pytest.approx(FAR_END_M)
 
 
-@pytest.mark.parametrize("gain", [1.0, 0.93])
-@pytest.mark.parametrize("place_m", [(0.02, 0.0, 0.1), (-0.03, 0.04, 0.12), (0.0, 0.0, 0.03)])
+@pytest.mark.parametrize(
+    ("place_m", "gain"), [((0.02, 0.0, 0.1), 0.93), ((-0.03, 0.04, 0.12), 1.0), ((0.0, 0.0, 0.03), 0.93)]
+)
 def test_the_place_of_a_load_is_found_beside_gains_that_are_off(tmp_path, place_m, gain):
     result = logged(tmp_path, 0.4, place_m, gain)
     position = place_of_load(result, result.tip)

@@ -68,7 +68,7 @@ class Hidden:
 
 
 def diagnosed(
-    folder: Path, joints: int, hidden: Hidden, *, seed: int = 0, trials: int = 4, seconds: float = 8.0,
+    folder: Path, joints: int, hidden: Hidden, *, seed: int = 0, trials: int = 4, seconds: float = 6.0,
     step_rad: float = 3e-4, noise: float = 0.01,
 ) -> RobotDiagnosis:  # fmt: skip
     """Diagnose a log at 100 Hz with encoder steps and white noise of the torques, both as a part of nothing known."""
