@@ -1,6 +1,5 @@
 """A robot diagnosed joint by joint, and where its answer is kept."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from labrun.app.joints_done import JointsDone
 from labrun.app.kept import FOLDER, as_texts, keep, kept_folder
 from labrun.app.progress_log import logged, progress_file
 from labrun.app.question import ask
 from labrun.fit import Dataset, Note, silent
 from labrun.gap import (
-    Diagnosis,
     FileCheck,
     Options,
     RobotDiagnosis,
@@ -23,10 +22,10 @@ from labrun.gap import (
     why_not,
 )
 from labrun.gap import save_model as write_model
-from labrun.json_numbers import finite
+from labrun.interrupts import Interrupted, number_of
 from labrun.models import Robot, read_robot, with_grip_held
 from labrun.report import file_check_lines, robot_lines
-from labrun.store import find_data, replace_durably, require_writable, saving
+from labrun.store import find_data, require_writable
 from labrun.workers import cores
 
 ROBOT = "robot.xml"
@@ -62,21 +61,6 @@ class StoredRobotDiagnosis:
         files = as_texts(stored=self.numbers, report=self.page, figure=self.figure, saved_model=self.model)
         check = {} if self.check is None else {"file_check": self.check.to_json()}
         return {**self.diagnosis.to_json(), **check, **files}
-
-
-class JointsDone:
-    """The joints that are diagnosed already, in a file of their own until the whole robot is."""
-
-    def __init__(self, file: Path) -> None:
-        self.file = file
-        self._answers: dict[str, Any] = {}
-
-    def keep(self, joint: str, answer: Diagnosis) -> None:
-        """Write a joint's answer beside those of the others, in the place of an earlier one."""
-        self._answers[joint] = answer.to_json()
-        self.file.parent.mkdir(parents=True, exist_ok=True)
-        with saving(self.file.name, self.file.absolute().parent):
-            replace_durably(self.file, (json.dumps(finite(self._answers), indent=2) + "\n").encode())
 
 
 def joint_by_joint(target: str | Path, results: str | Path = "results") -> str | None:
@@ -151,12 +135,20 @@ def diagnose_joints(
         within_s=float("inf") if within_s is None else within_s,
     )
     robot = robot_of(folder, question.dataset)
-    done = JointsDone(where.with_name(f"{where.name}-joints.json"))
-    with logged(note, progress_file(where)) as both:
-        diagnosis = diagnose_robot(
-            robot, question.model, question.dataset, options, note=both, finished=done.keep
-        )
-    diagnosis = replace(diagnosis, source=str(folder), remarks=(*robot.remarks, *diagnosis.remarks))
+    done = JointsDone(where)
+    try:
+        with logged(note, progress_file(where)) as both:
+            diagnosis = diagnose_robot(
+                robot, question.model, question.dataset, options, note=both, known=done
+            )
+    except KeyboardInterrupt as stop:
+        if done.file.exists():
+            state = "; no diagnosis was written; joints that are done are kept"
+            raise Interrupted(number_of(stop), state, hint="the same command resumes them") from None
+        raise
+    resumed = ("joints that an earlier run had done are taken from it",) if done.resumed else ()
+    remarks = (*robot.remarks, *diagnosis.remarks, *resumed)
+    diagnosis = replace(diagnosis, source=str(folder), remarks=remarks)
     numbers, check = diagnosis.to_json(), None
     if save_model is not None:
         check = check_file(robot, question.model, question.dataset, numbers, note=note)
@@ -170,8 +162,9 @@ def diagnose_joints(
         return robot_page(diagnosis, check), robot_figure(diagnosis)
 
     kept = keep(where, numbers, question.model.source, drawn if page else None)
-    done.file.unlink(missing_ok=True)
     stored = StoredRobotDiagnosis(diagnosis, *kept, check=check)
+    if all(joint.diagnosis.complete for joint in diagnosis.joints):
+        done.discard()
     if save_model is None or check is None:
         return stored
     write_model({**numbers, **check.model.to_json()}, question.model.source, save_model)

@@ -19,6 +19,7 @@ _ALONE = {"no-gap": "none"}
 """What stands at a joint without a cause where the file's physics is enough."""
 _OF_THE_WHOLE: Mapping[str, Mapping[str, str]] = {
     "gravity-tilt": {"roll": "rad", "pitch": "rad"},
+    "gravity-compensation": {"share": "of all weights"},
     "payload": {"mass": "kg", "x": "m", "y": "m", "z": "m"},
 }
 """Effects that the whole robot has and single joints tell, with units: at one joint their sizes are ratios."""
@@ -57,7 +58,7 @@ def size_lines(diagnosis: RobotDiagnosis) -> list[str]:
 
 
 def whole_lines(diagnosis: RobotDiagnosis) -> list[str]:
-    """Return a line of sizes for a tilt and a load, as the whole robot has them."""
+    """Return a line of sizes for a tilt, a load and gravity compensation, as the whole robot has them."""
     lines = []
     for effect, _, values in diagnosis.whole:
         if units := _OF_THE_WHOLE.get(effect):

@@ -203,10 +203,37 @@ def test_a_model_of_equations_has_no_mjcf(tmp_path):
         mjcf_of(load_model(tmp_path / "a.toml"))
 
 
-def test_a_delay_is_written_in_seconds_and_for_which_time_step_it_holds(tmp_path):
-    exported = mjcf_of(corrected(tmp_path, ["delay"]))
+def test_a_delay_is_written_in_seconds_and_holds_at_shorter_time_steps(tmp_path):
+    model = corrected(tmp_path, ["delay"])
+    exported = mjcf_of(model)
     assert "delay of actuator servo: 0.03 s" in exported.xml
-    assert "at the timestep 0.001 s" in exported.xml
+    assert "timesteps of 0.0001 s and more" in exported.xml
+    spec = mujoco.MjSpec.from_string(exported.xml)
+    spec.option.timestep = 2e-4
+    own, alone = both(model, spec.to_xml())
+    assert np.sqrt(np.mean((own - alone) ** 2)) < NOISE_RAD
+
+
+def test_a_file_that_keeps_too_few_samples_for_its_delay_is_told(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(ARM.replace('kp="8"', 'kp="8" delay="0.03" nsample="12"'))
+    message = " ".join(read_robot(file).remarks)
+    assert (
+        "at the file's timestep of 0.001 s MuJoCo cuts its delay of 0.03 s off; set nsample to 31" in message
+    )
+
+
+def test_gravity_compensation_is_gravcomp_of_the_bodies(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM.replace('pos="0 0 -.1"', 'pos=".3 0 -.1"'))
+    model = load_model(tmp_path / "arm.xml")
+    held = model.with_values({"gravity_compensation": 0.8})
+    exported = mjcf_of(held)
+    assert exported.written == ("gravity compensation of 0.8 is gravcomp of upper",)
+    own, alone = both(held, exported.xml)
+    without, _ = both(model, mjcf_of(model).xml)
+    assert np.sqrt(np.mean((own - without) ** 2)) > 5 * NOISE_RAD, "the compensation is to be seen at all"
+    assert np.sqrt(np.mean((own - alone) ** 2)) < NOISE_RAD
+    assert "gravcomp" not in mjcf_of(model).xml
 
 
 PASSIVE = {

@@ -32,9 +32,12 @@ class Written:
 
     @property
     def of_the_whole(self) -> tuple[str, ...]:
-        """What the robot as a whole has: a tilted base, a load."""
-        tilted = "base_roll" in self.values or "base_pitch" in self.values
-        return ("a tilted base",) * tilted + ("a load",) * ("tip_load" in self.values)
+        """What the robot as a whole has: a tilted base, a load, gravity compensation."""
+        words = {
+            "base_roll": "a tilted base", "base_pitch": "a tilted base", "tip_load": "a load",
+            "gravity_compensation": "gravity compensation",
+        }  # fmt: skip
+        return tuple(dict.fromkeys(words[name] for name in words if name in self.values))
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any]) -> "Written":

@@ -1,13 +1,17 @@
 """A whole robot diagnosed: every joint by itself, then all that was found together in the whole robot."""
 
+import hashlib
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from importlib.metadata import version
+from typing import Protocol
 
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.effects import effects
 from labrun.fit import Dataset, Note, silent
 from labrun.gap import criteria, numerics
 from labrun.gap.diagnose import Options, diagnose_dataset
@@ -25,15 +29,29 @@ from labrun.workers import Pool, pool, spread
 
 OF_A_TORQUE = ("delay", "early-clock", "lag")
 """What a torque is not asked for at one joint: one that sticks brakes before it moves, which looks like a time."""
-Finished = Callable[[str, Diagnosis], None]
-"""Told of a joint's name and answer as soon as it is diagnosed; of some joints again, with what others say."""
 _CLOCKS = ("early-clock", "late-clock")
 """Of an encoder, and of its goals: beside the other, one is the other."""
 _NOT_LOOKED_FOR = "no cause was looked for"
 
 
-def _ignored(_joint: str, _answer: Diagnosis) -> None:
-    """Do nothing with a joint that is done."""
+class KnownAnswers(Protocol):
+    """Answers for joints that were diagnosed before, by a key that holds all that they depend on."""
+
+    def get(self, key: str) -> Diagnosis | None:
+        """Return an answer; None if there is none."""
+        ...
+
+    def keep(self, key: str, answer: Diagnosis) -> None:
+        """Take an answer as soon as a joint is diagnosed."""
+        ...
+
+
+class _NothingKnown:
+    def get(self, _key: str) -> Diagnosis | None:
+        return None
+
+    def keep(self, _key: str, _answer: Diagnosis) -> None:
+        return
 
 
 def diagnose_robot(
@@ -43,7 +61,7 @@ def diagnose_robot(
     options: Options | None = None,
     *,
     note: Note = silent,
-    finished: Finished = _ignored,
+    known: KnownAnswers | None = None,
 ) -> RobotDiagnosis:
     """Say of every joint where model and log differ, which cause explains it, and how far.
 
@@ -58,8 +76,8 @@ def diagnose_robot(
         The model of the whole robot, as `labrun.models.load_model` makes it from that file.
     options
         ``workers`` joints are looked at at once, each in a process of its own.
-    finished
-        Called with each joint that is done, so that its answer can be kept before the others are.
+    known
+        Joints that are done already, and where others go as soon as they are.
 
     Raises
     ------
@@ -68,7 +86,7 @@ def diagnose_robot(
     RecordingError, FitError, ModelError
         Data or model that do not allow a diagnosis.
     """
-    options = options or Options()
+    options, known = options or Options(), known or _NothingKnown()
     if robot.is_told_torques:
         return diagnose_torques(robot, model, dataset, options, note=note)
     start = time.perf_counter()
@@ -82,13 +100,13 @@ def diagnose_robot(
     # a process a joint: half of a diagnosis is Python, which threads would wait for in turn
     with nullcontext() if options.workers <= 1 else pool(min(options.workers, len(every)), None) as there:
         note("recalibrating every joint")
-        answers = _looked(dynamics, every, replace(alone, least_gap=np.inf), there, note, deadline_s)
+        answers = _looked(dynamics, every, replace(alone, least_gap=np.inf), there, note, deadline_s, known)
         lacking = [index for index, (_, answer) in enumerate(answers) if not _quiet(answer)]
         note("asking all joints together which links are not where their encoders say")
         links = links_that_explain(dynamics, lacking, options.seed)
         for at in ([index for index in lacking if index not in links], *([link] for link in links)):
             around = dynamics.with_links({other: by for other, by in links.items() if other not in at})
-            second = dict(zip(at, _looked(around, at, alone, there, note, deadline_s, finished), strict=True))
+            second = dict(zip(at, _looked(around, at, alone, there, note, deadline_s, known), strict=True))
             answers = [second.get(number, answer) for number, answer in enumerate(answers)]
         dynamics = dynamics.with_links(links)
         tip, far_end = dynamics.tip, dynamics.tip.far_end
@@ -100,7 +118,7 @@ def diagnose_robot(
             )
             moved = dynamics.with_load_at(tip.torque(better))
             second = dict(
-                zip(hanging, _looked(moved, hanging, alone, there, note, deadline_s, finished), strict=True)
+                zip(hanging, _looked(moved, hanging, alone, there, note, deadline_s, known), strict=True)
             )
             if _explained_by_load(answers, hanging) < _explained_by_load(second, hanging):
                 answers = [second.get(number, answer) for number, answer in enumerate(answers)]
@@ -112,7 +130,7 @@ def diagnose_robot(
             second = dict(
                 zip(
                     again,
-                    _looked(among(dynamics, whole), again, alone, there, note, deadline_s, finished),
+                    _looked(among(dynamics, whole), again, alone, there, note, deadline_s, known),
                     strict=True,
                 )
             )
@@ -132,7 +150,7 @@ def _looked(
     there: Pool | None,
     note: Note,
     deadline_s: float,
-    finished: Finished = _ignored,
+    known: KnownAnswers,
 ) -> list[tuple[OneJoint, Diagnosis]]:
     """Diagnose joints, on processes if there are some; the answers are the same and come in the joints' order."""
     if not joint_indices:
@@ -152,32 +170,52 @@ def _looked(
         )
         for index, gap in least.items()
     }
-    answers: dict[int, Diagnosis] = {}
-    count = Count(len(joints))
+    keys = {index: _key(joint, asked[index]) for index, joint in joints.items()}
+    stored = {index: known.get(key) for index, key in keys.items()}
+    answers = {index: answer for index, answer in stored.items() if answer is not None}
+    count = Count(len(joints) - len(answers))
 
     def report(text: str) -> None:
         left = f", {count.time_left}" if count.time_left else ""
-        note(f"{count.done} of {count.total} joints done{left}{text}")
+        note(f"{len(answers)} of {len(joints)} joints done{left}{text}")
+
+    open_joints = {index: joint for index, joint in joints.items() if index not in answers}
 
     def here() -> Iterator[tuple[int, Diagnosis]]:
-        for index, joint in joints.items():
-            yield (
-                index,
-                diagnose_dataset(joint.dataset, joint.model, asked[index], note=_about(joint, report)),
-            )
+        for index, joint in open_joints.items():
+            announce = _about(joint, report)
+            yield index, diagnose_dataset(joint.dataset, joint.model, asked[index], note=announce)
 
     jobs = (
         (index, diagnose_dataset, (joint.dataset, joint.model, asked[index]))
-        for index, joint in joints.items()
+        for index, joint in open_joints.items()
     )
     report("")
-    for index, answer in here() if there is None else spread(there, jobs):
-        answers[index] = _announced(answer, least[index], dynamics.own.step_s)
-        causes = " and ".join(cause.name.words for cause in answers[index].causes)
-        finished(joints[index].joint.name, answers[index])
+    for index, raw_answer in here() if there is None else spread(there, jobs):
+        answer = _announced(raw_answer, least[index], dynamics.own.step_s)
+        answers[index] = answer
+        if answer.complete:
+            known.keep(keys[index], answer)
         count.done += 1
-        report(f"; {joints[index].joint.name}: {causes or answers[index].verdict}")
+        causes = " and ".join(cause.name.words for cause in answer.causes)
+        report(f"; {joints[index].joint.name}: {causes or answer.verdict}")
     return [(joint, answers[index]) for index, joint in joints.items()]
+
+
+def _key(joint: OneJoint, options: Options) -> str:
+    """Return a digest of all that a joint's complete answer depends on."""
+    digest = hashlib.sha256()
+    chosen = replace(options, within_s=np.inf, workers=1)
+    library = sorted((effect.id, effect.kind) for effect in effects())
+    data = joint.dataset
+    digest.update(
+        f"{version('labrun')} {library} {chosen} {joint.text} {data.inputs} {data.outputs}".encode()
+    )
+    for trial in data.trials:
+        digest.update(f"{trial.label} {trial.condition} {trial.repeat}".encode())
+        for values in (trial.time_s, trial.inputs, trial.outputs):
+            digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()
 
 
 def _about(joint: OneJoint, note: Note) -> Note:
@@ -276,10 +314,11 @@ def _quiet(answer: Diagnosis) -> bool:
 
 
 def among(dynamics: Prescribed, whole: Sequence[OfTheWhole]) -> Prescribed:
-    """Return the joints of a robot whose base and load are known."""
+    """Return the joints of a robot whose base, load and gravity compensation are known."""
     values_of = {name: values for name, _, values in whole}
     tilt, load = values_of.get("gravity-tilt", {}), values_of.get("payload", {})
     dynamics = dynamics.on_base(tilt.get("roll", 0.0), tilt.get("pitch", 0.0))
+    dynamics = dynamics.held(values_of.get("gravity-compensation", {}).get("share", 0.0))
     if not load:
         return dynamics
     at = np.array([load[axis] for axis in "xyz"])  # where links were moved, it is not there yet

@@ -13,7 +13,7 @@ from labrun.models import RobotJoint
 
 OfTheWhole = tuple[str, tuple[str, ...], Mapping[str, float]]
 """An effect of the whole robot, the joints that tell it, and its values."""
-OF_THE_WHOLE = ("gravity-tilt", "payload")
+OF_THE_WHOLE = ("gravity-tilt", "gravity-compensation", "payload")
 """Effects that one joint shows and the whole robot has."""
 OF_THE_LOG = ("late-clock", "delay")
 """Of all goals at once: stamped late beside all angles, or followed late by them."""

@@ -172,11 +172,11 @@ def withheld_check(
 
 
 def _of_the_whole(model: Model, diagnosis: Mapping[str, Any]) -> Written:
-    """Return the tilt, the load and the delay of all goals that a diagnosis put into the corrected model."""
+    """Return what the corrected model of a diagnosis has of the robot as a whole, and the delay of all goals."""
     names = {name for parameters in IN_THE_ROBOT.values() for name in parameters}
     values = {name: value for name, value in diagnosis["corrected"].items() if name in names and value}
-    if not any(name in values for name in ("base_roll", "base_pitch", "tip_load")):
-        values = {}
+    if "tip_load" not in values:  # of no load the place is none
+        values = {name: value for name, value in values.items() if not name.startswith("tip_load")}
     clocks = {entry["effect"] for entry in diagnosis["whole"]} & {"delay"}
     effects = tuple(effect for effect in effects_of(diagnosis) if effect.effect.id in clocks)
     known = {parameter.name for parameter in model.parameters}

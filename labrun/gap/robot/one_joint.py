@@ -41,11 +41,12 @@ from labrun.store import SignalInfo
 
 @dataclass(frozen=True)
 class OneJoint:
-    """A joint with its model and its data."""
+    """A joint with its model, its data, and the model's text with the clock of the log."""
 
     joint: RobotJoint
     model: Model
     dataset: Dataset
+    text: str = ""
 
     @property
     def by_torque(self) -> bool:
@@ -64,7 +65,8 @@ class Prescribed:
     terms
         Of every trial: what the joints carry.
     around
-        Of every trial, (n, joints): what a tilted base and a load ask of the joints more, where these are known.
+        Of every trial, (n, joints): what a tilted base and a load ask of the joints more, and what a controller that
+        holds weights asks less, where these are known.
     lead_s
         By how much all goals are stamped late beside all angles, where that is known; negative if angles follow late.
     links
@@ -123,6 +125,12 @@ class Prescribed:
         """Return the same with a base that is tilted by these angles (rad)."""
         tilted = tuple(roll * term.tilt[:, :, 0] + pitch * term.tilt[:, :, 1] for term in self.terms)
         return replace(self, around=tilted)
+
+    def held(self, share: float) -> "Prescribed":
+        """Return the same with a controller that holds a share of all weights."""
+        before = self.around or tuple(np.zeros_like(term.load) for term in self.terms)
+        less = tuple(was - share * term.gravity for was, term in zip(before, self.terms, strict=True))
+        return replace(self, around=less)
 
     def loaded(self, mass_kg: float) -> "Prescribed":
         """Return the same with a load where one is looked for."""
@@ -276,11 +284,8 @@ def one_joint(dynamics: Prescribed, index: int) -> OneJoint:
     model = parse_model(text, f"{dynamics.robot.name}: {joint.name}")
     if drive is not None and dynamics.lead_s and model.states:
         model = model.with_effects([dynamics.clock_at(drive.input)])
-    return OneJoint(
-        joint,
-        model,
-        _dataset(dynamics, index, joint, drive, own, rest, model, tilted=tilted, loaded=loaded),
-    )
+    dataset = _dataset(dynamics, index, joint, drive, own, rest, model, tilted=tilted, loaded=loaded)
+    return OneJoint(joint, model, dataset, f"{text}\n# {dynamics.clock} {dynamics.lead_s!r}")
 
 
 def _dataset(

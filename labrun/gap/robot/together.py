@@ -15,6 +15,7 @@ from labrun.models import Model, simulate, suggest_substeps
 
 IN_THE_ROBOT: Mapping[str, Mapping[str, str]] = {
     "gravity-tilt": {"base_roll": "roll", "base_pitch": "pitch"},
+    "gravity-compensation": {"gravity_compensation": "share"},
     "payload": {"tip_load": "mass", "tip_load_x": "x", "tip_load_y": "y", "tip_load_z": "z"},
 }
 """Their parameters in the model of the whole robot, and what these are called in the effect."""

@@ -12,9 +12,11 @@ from labrun.effects import AttachedEffect
 from labrun.errors import ModelError
 from labrun.models.mjcf.model import MujocoModel
 from labrun.models.mjcf.plant import imported, plant
-from labrun.models.mjcf.robot import mjcf_text, robot_spec
+from labrun.models.mjcf.robot import GRAVITY_HELD_AT_LEAST, mjcf_text, robot_spec, samples_of_delay
 from labrun.models.model import Model
 
+_SHORTEST_STEP_S = 1e-4
+"""Timestep down to which an exported delay holds: shorter than robots are simulated with, and little to keep."""
 _KNEE = "its corner is sharp in MuJoCo"
 
 
@@ -62,22 +64,14 @@ def mjcf_of(model: Model) -> Exported:
         else robot_spec(Path(model.mjcf))[0]
     )
     compiled = spec.compile()
-    corrected = _with_values(model)
-    written, masses = [], compiled.body_mass.copy()
-    for _, memory in model.layout.settings:
-        before, after = memory.read(compiled), memory.read(corrected)
-        if before != after:
-            memory.write(compiled, after)
-            if not _goes_along(
-                memory.array, memory.index, after / before if before else 0.0, masses, corrected
-            ):
-                element = _named(corrected, memory.array, memory.index)[0] if memory.owner == "model" else ""
-                where = f"{memory.array} of {element}" if element else f"{memory.array}[{memory.index}]"
-                written.append(f"{where}: {before:.6g} became {after:.6g}")
+    written = _write_values(model, compiled)
     try:
         spec.copy_back(compiled)
     except ValueError as error:
         raise ModelError(f"MJCF cannot say a value of {model.name}: {error}") from None
+    for body in spec.bodies:  # MuJoCo does not copy it back
+        share = float(compiled.body_gravcomp[compiled.body(body.name).id])
+        body.gravcomp = share if abs(share) > GRAVITY_HELD_AT_LEAST else 0.0
     left: list[str] = []
     passive: list[tuple[str, AttachedEffect]] = []
     for effect in model.effects:
@@ -95,11 +89,43 @@ def mjcf_of(model: Model) -> Exported:
         spec.comment = " ".join(
             [f"delay of actuator {actuator.name}: {actuator.delay:.6g} s." for actuator in delays]
             + [
-                f"nsample holds it at the timestep {step_s:g} s; at another one set nsample to delay/timestep + 2."
+                f"nsample holds it at timesteps of {_shortest_step_s(step_s):g} s and more; at a shorter one MuJoCo "
+                "cuts the delay off: set nsample to delay/timestep + 2."
             ]
         )
     spec.compile()
     return Exported(mjcf_text(spec), tuple(written), tuple(left), tuple(passive))
+
+
+def _write_values(model: MujocoModel, compiled: Any) -> list[str]:
+    """Write a model's values into the compiled description; return where they stand, as sentences."""
+    corrected = _with_values(model)
+    written, masses = [], compiled.body_mass.copy()
+    held_bodies: dict[str, float] = {}
+    for _, memory in model.layout.settings:
+        before, after = memory.read(compiled), memory.read(corrected)
+        if before != after:
+            memory.write(compiled, after)
+            if memory.array == "body_gravcomp":
+                held_bodies[_named(corrected, memory.array, memory.index)[0]] = after
+            elif not _goes_along(
+                memory.array, memory.index, after / before if before else 0.0, masses, corrected
+            ):
+                element = _named(corrected, memory.array, memory.index)[0] if memory.owner == "model" else ""
+                where = f"{memory.array} of {element}" if element else f"{memory.array}[{memory.index}]"
+                written.append(f"{where}: {before:.6g} became {after:.6g}")
+    return [*written, *_held_told(held_bodies)]
+
+
+def _held_told(shares: Mapping[str, float]) -> list[str]:
+    """Return the shares of their weight by which bodies are held, as sentences."""
+    bodies: dict[float, list[str]] = {}
+    for body, share in shares.items():
+        bodies.setdefault(share, []).append(body)
+    return [
+        f"gravity compensation of {share:.6g} is gravcomp of {', '.join(names)}"
+        for share, names in bodies.items()
+    ]
 
 
 def _with_values(model: MujocoModel) -> Any:
@@ -233,11 +259,16 @@ _JOINT: Mapping[str, Callable[[Any, Mapping[str, float]], str | None]] = {
 }  # fmt: skip
 
 
+def _shortest_step_s(step_s: float) -> float:
+    return min(step_s, _SHORTEST_STEP_S)
+
+
 def _delay(actuator: Any, values: Mapping[str, float], compiled: Any) -> str:
     step_s = float(compiled.opt.timestep)
     actuator.delay = values["delay"]
-    actuator.nsample = max(2, int(np.ceil(values["delay"] / step_s)) + 1)
-    where = f"delay of actuator {actuator.name}, for a timestep of {step_s:g} s"
+    shortest_s = _shortest_step_s(step_s)
+    actuator.nsample = samples_of_delay(values["delay"], shortest_s)
+    where = f"delay of actuator {actuator.name}, at timesteps of {shortest_s:g} s and more"
     return f"a delay of {1e3 * values['delay']:.4g} ms is {where}"
 
 

@@ -79,6 +79,8 @@ SERVO_DAMPING = 0.8
 """A servo of which nothing is known starts as a second-order follower of this bandwidth and damping ratio (chosen)."""
 SERVO_ROTOR = 1.0
 """Its rotor behind the gear, in units of the inertia that the joint carries: the ratio of a matched gear."""
+GRAVITY_HELD_AT_LEAST = 1e-9
+"""Share of its weight by which every body is held: MuJoCo computes no gravity compensation where all shares are 0."""
 _SUFFIX: Mapping[Command, str] = {
     "position": "command", "velocity": "rate_command", "torque": "torque", "geared": "control", "other": "control",
 }  # fmt: skip
@@ -197,12 +199,9 @@ def read_robot(
     if np.any(model.geom_contype) or np.any(model.geom_conaffinity) or model.npair:
         remarks.append("contacts are switched off: what touches something is outside of this model")
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    for actuator in spec.actuators:
-        if getattr(actuator, "nsample", 0):
-            remarks.append(
-                f"the delay of actuator {actuator.name} is taken out; the effect delay can stand for it"
-            )
-            actuator.nsample, actuator.delay = 0, 0.0
+    remarks += _take_out_delays(spec)
+    for body in spec.bodies[1:]:
+        body.gravcomp = body.gravcomp or GRAVITY_HELD_AT_LEAST
     for number, joint in enumerate(spec.joints):
         joint.name = joint.name or f"joint{number}"
     for number, actuator in enumerate(spec.actuators):
@@ -248,6 +247,30 @@ def read_robot(
             )
         },
     )
+
+
+def _take_out_delays(spec: Any) -> list[str]:
+    """Take the delays of actuators out of a description; return what is to be said of it."""
+    remarks = []
+    for actuator in spec.actuators:
+        if not getattr(actuator, "nsample", 0):
+            continue
+        remarks.append(
+            f"the delay of actuator {actuator.name} is taken out; the effect delay can stand for it"
+        )
+        needed = samples_of_delay(actuator.delay, spec.option.timestep)
+        if actuator.nsample < needed:
+            remarks.append(
+                f"nsample of actuator {actuator.name} is {actuator.nsample}: at the file's timestep of "
+                f"{spec.option.timestep:g} s MuJoCo cuts its delay of {actuator.delay:g} s off; set nsample to {needed}"
+            )
+        actuator.nsample, actuator.delay = 0, 0.0
+    return remarks
+
+
+def samples_of_delay(delay_s: float, step_s: float) -> int:
+    """Return how many samples of a control MuJoCo has to keep for a delay; with fewer it cuts the delay off."""
+    return max(2, int(np.ceil(delay_s / step_s - 1e-9)) + 1)
 
 
 def _not_compared(others: list[Any]) -> list[str]:

@@ -9,8 +9,8 @@ from labrun.models.mjcf.inverse import JointDrive, RobotTerms, far_end, robot_te
 from labrun.models.mjcf.plant import imported
 from labrun.models.mjcf.robot import Robot, RobotJoint, identifiers
 
-ROLL, PITCH, LOAD = "base_roll", "base_pitch", "tip_load"
-"""Parameters of the model file: rad about x, rad about y, kg."""
+ROLL, PITCH, LOAD, HELD = "base_roll", "base_pitch", "tip_load", "gravity_compensation"
+"""Parameters of the model file: rad about x, rad about y, kg, share of all weights that the controller holds."""
 PLACE = ("tip_load_x", "tip_load_y", "tip_load_z")
 """Where the load is in the frame of the last body, m: at its far end unless somebody knows better."""
 _LEAST_MASS = 0.1
@@ -45,6 +45,11 @@ def around(xml: str, masses: Mapping[str, str]) -> tuple[list[str], dict[str, st
             for name in (ROLL, PITCH)
         ]
         equations |= _gravity([float(component) for component in model.opt.gravity])
+        parameters.append(f"{HELD} = {{ value = 0.0, tolerance = 0.0, lower = -1.2, upper = 1.2 }}")
+        equations |= {
+            f"body.{name}.gravcomp": f"{float(model.body_gravcomp[model.body(name).id])!r} + {HELD}"
+            for name in masses
+        }
     for name, mass_of in masses.items():
         equations |= _in_proportion(model, name, mass_of)
     body = tip_body(model)

@@ -17,7 +17,7 @@ from labrun.gap import Options, diagnose_robot, parameter_ranges, why_not
 from labrun.gap.diagnose import diagnose_dataset
 from labrun.gap.motion import smoothed
 from labrun.gap.robot.as_diagnosed import as_diagnosed
-from labrun.gap.robot.diagnose import _announced, _explained_by_load, _looked, _smoothing_gap
+from labrun.gap.robot.diagnose import _announced, _explained_by_load, _key, _looked, _smoothing_gap
 from labrun.gap.robot.diagnosis import JointDiagnosis, RobotDiagnosis
 from labrun.gap.robot.links import beside_encoders, links_that_explain
 from labrun.gap.robot.one_joint import Prescribed, one_joint, prescribed
@@ -83,6 +83,34 @@ def arm(tmp_path: Path, friction: float = 0.0, step_s: float = SHORT_S):
     return robot, model, Dataset("arm", tmp_path, "recording", inputs, outputs, trials)
 
 
+def test_a_joint_is_known_by_its_data_its_model_and_what_is_asked(tmp_path):
+    robot, model, dataset = arm(tmp_path)
+
+    def key(data=dataset, options=None):
+        return _key(one_joint(prescribed(robot, model, data), 1), options or Options())
+
+    noisy = dataclasses.replace(
+        dataset,
+        trials=tuple(dataclasses.replace(trial, outputs=trial.outputs + 1e-6) for trial in dataset.trials),
+    )
+    led = _key(one_joint(prescribed(robot, model, dataset).led(0.01), 1), Options())
+    assert key() == key(options=Options(workers=3, within_s=60.0))
+    assert len({key(), key(noisy), key(options=Options(withhold=("coulomb-friction",))), led}) == 4
+
+
+class KnownJoints:
+    """Answers of joints that are diagnosed, in memory."""
+
+    def __init__(self):
+        self.answers = {}
+
+    def get(self, key):
+        return self.answers.get(key)
+
+    def keep(self, key, answer):
+        self.answers[key] = answer
+
+
 def test_smoothing_returns_the_motion_behind_the_noise():
     time_s = np.linspace(0, 4, 401)
     clean = np.sin(5 * time_s)
@@ -145,20 +173,26 @@ def test_where_the_torque_is_logged_a_joint_is_asked_which_torque_its_motion_tak
     joint = one_joint(prescribed(robot, model, dataset), 1)
     assert [each.name for each in joint.model.outputs] == ["elbow_torque"]
     options = Options(workers=1, places=False, brisk=True)
-    ((_, answer),) = _looked(prescribed(robot, model, dataset), [1], options, None, silent, np.inf)
+    ((_, answer),) = _looked(
+        prescribed(robot, model, dataset), [1], options, None, silent, np.inf, KnownJoints()
+    )
     assert [str(cause.name) for cause in answer.causes] == ["coulomb-friction at elbow"]
     assert answer.causes[0].values["torque"].value == pytest.approx(friction, rel=0.05)
 
 
 def test_a_joint_that_is_done_is_told_with_the_time_that_the_others_take(tmp_path):
     prepared = prescribed(*arm(tmp_path))
-    options, notes, done = Options(workers=1, places=False, brisk=True, least_gap=np.inf), [], {}
-    _looked(prepared, [0, 1], options, None, notes.append, np.inf, done.__setitem__)
-    assert list(done) == ["shoulder", "elbow"]
-    verdicts = {joint: answer.verdict for joint, answer in done.items()}
+    options, notes, known = Options(workers=1, places=False, brisk=True, least_gap=np.inf), [], KnownJoints()
+    answers = _looked(prepared, [0, 1], options, None, notes.append, np.inf, known)
+    assert all(kept is answer for kept, (_, answer) in zip(known.answers.values(), answers, strict=True))
+    verdicts = {joint.joint.name: answer.verdict for joint, answer in answers}
     first = rf"1 of 2 joints done, about \d+ s left; shoulder: {verdicts['shoulder']}"
     assert [note for note in notes if re.fullmatch(first, note)]
     assert notes[-1] == f"2 of 2 joints done; elbow: {verdicts['elbow']}"
+    again = _looked(prepared, [0, 1], options, None, notes.append, np.inf, known)
+    assert all(new is old for (_, new), (_, old) in zip(again, answers, strict=True)), (
+        "nothing is diagnosed again"
+    )
 
 
 def test_prescribed_motion_is_no_site(tmp_path):
