@@ -61,16 +61,21 @@ class JointsDone:
             file.unlink(missing_ok=True)
 
 
-def _types_of(hint: Any, known: dict[str, Any]) -> dict[str, Any]:
+def _types_of(hint: Any, known: dict[str, type]) -> dict[str, type]:
     """Return the dataclasses by name that a type, or what it is made of, has as fields."""
     for part in get_args(hint):
         _types_of(part, known)
-    new = isinstance(hint, type) and hint is not AttachedEffect and hint.__name__ not in known
-    if new and dataclasses.is_dataclass(hint):
-        known[hint.__name__] = hint
-        for field in get_type_hints(hint).values():
-            _types_of(field, known)
+    if isinstance(hint, type) and hint is not AttachedEffect:
+        _add_type(hint, known)
     return known
+
+
+def _add_type(kind: type, known: dict[str, type]) -> None:
+    if kind.__name__ in known or not hasattr(kind, "__dataclass_fields__"):
+        return
+    known[kind.__name__] = kind
+    for hint in get_type_hints(kind).values():
+        _types_of(hint, known)
 
 
 _TYPES = _types_of(Diagnosis, {})
