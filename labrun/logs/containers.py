@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -13,6 +14,7 @@ from labrun.errors import RecordingError
 from labrun.logs.arrays import Arrays
 from labrun.logs.findings import Finding, Statement
 
+_PARTS = re.compile(r"(?i)(joint|axis|axes|motor|servo|link|leg|arm|channel|signal)s?$")
 MOST_TIMES, SPARE_BYTES = 3, 256 * 2**20
 """The numbers of a file take at most so many times its size in memory, and this more for small ones."""
 
@@ -59,29 +61,36 @@ def read_npz(path: Path) -> Arrays:
                 require_affordable(path, _npy_size(npy, file)[0])
             return Arrays({path.stem: as_numbers(np.load(path, allow_pickle=False))})
         with ZipFile(path) as archive:
-            total = 0
+            total, objects = 0, []
             for entry in archive.infolist():
                 with archive.open(entry) as file:
-                    count, size = _npy_size(npy, file)
+                    count, size, has_objects = _npy_size(npy, file)
                 total += count
-                if size > entry.file_size:
+                if has_objects:
+                    objects.append(entry.filename.removesuffix(".npy"))
+                elif size > entry.file_size:
                     raise ValueError("an array is longer than the file says")
             require_affordable(path, total)
+        left_out = (
+            f"{path.name}: {', '.join(objects[:8])} are objects of Python, which are not read; left out"
+        )
+        findings: tuple[Finding, ...] = (Statement(left_out),) if objects else ()
         with np.load(path, allow_pickle=False) as archive:
-            return Arrays({name: as_numbers(archive[name]) for name in archive.files})
+            names = [name for name in archive.files if name not in objects]
+            return Arrays({name: as_numbers(archive[name]) for name in names}, findings=findings)
     except (OSError, ValueError, EOFError, BadZipFile, KeyError):
         raise RecordingError(
             f"{path} is no whole NumPy archive of numbers", hint="write it again with numpy.savez"
         ) from None
 
 
-def _npy_size(npy: Any, file: Any) -> tuple[int, int]:
-    """Return how many numbers an array has, and its bytes."""
+def _npy_size(npy: Any, file: Any) -> tuple[int, int, bool]:
+    """Return how many numbers an array has, its bytes, and whether it holds objects instead."""
     version = npy.read_magic(file)
     header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, _, dtype = header(file)
     count = math.prod(map(int, shape))
-    return max(count, count * int(dtype.itemsize) // 8), count * int(dtype.itemsize)
+    return max(count, count * int(dtype.itemsize) // 8), count * int(dtype.itemsize), bool(dtype.hasobject)
 
 
 def read_h5(path: Path) -> Arrays:
@@ -131,7 +140,7 @@ def read_mat(path: Path) -> Arrays:
     for name, given in content.items():
         if name.startswith("__"):
             continue
-        for key, value in _flat(name, given):
+        for key, value in flat(name, given):
             if isinstance(value, MatlabOpaque):
                 unread.append(key)
             elif isinstance(value, np.ndarray):
@@ -143,21 +152,21 @@ def read_mat(path: Path) -> Arrays:
     return Arrays(values, labels, findings=findings)
 
 
-def _flat(name: str, given: Any) -> Iterator[tuple[str, Any]]:
+def flat(name: str, given: Any) -> Iterator[tuple[str, Any]]:
+    """Yield path and value of all that mappings and lists hold; mappings in a list are episodes, or its joints."""
+    if isinstance(given, np.ndarray) and given.dtype == object:
+        given = given.ravel().tolist()
     if isinstance(given, Mapping):
-        label = given.get("label")
+        label = given.get("label")  # of a signal in a structure of Simulink
         for key, value in given.items():
-            own = (
-                f"{name}/{label}" if key == "values" and isinstance(label, str) and label else f"{name}/{key}"
-            )
-            yield from _flat(own, value)
-    elif isinstance(given, list) or (isinstance(given, np.ndarray) and given.dtype == object):
-        for index, value in enumerate(
-            np.asarray(given, dtype=object).ravel() if isinstance(given, np.ndarray) else given
-        ):
-            yield from _flat(
-                f"{name}/{index}" if not (isinstance(value, Mapping) and value.get("label")) else name, value
-            )
+            own = label if key == "values" and isinstance(label, str) and label else key
+            yield from flat(f"{name}/{own}" if name else str(own), value)
+    elif isinstance(given, list | tuple):
+        kind = "" if _PARTS.search(name) else "episode_"
+        for index, value in enumerate(given):
+            is_table = isinstance(value, Mapping)
+            is_labelled = is_table and value.get("label")
+            yield from flat(name if is_labelled else f"{name}/{kind if is_table else ''}{index}", value)
     else:
         yield name, given
 

@@ -155,6 +155,9 @@ def column(
     stem = "_".join(
         word for word in words if word.lower() not in _ANY_ROLE and word.lower() not in _NAME_UNITS
     )
+    if not stem and position is None:  # a group for each joint: shoulder/position
+        last = group.rpartition("/")[2]
+        stem = "_".join(word for word in _SPLIT.split(last) if word and word.lower() not in _ANY_ROLE)
     by_order = bool({"qpos", "ctrl"} & (own | around))
     name = f"{group}/{label}" if label and group else group or label
     if position is not None and not label:

@@ -7,7 +7,7 @@ all others.
 
 import pickle
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 
 from labrun.errors import RecordingError
 from labrun.logs.arrays import Arrays
-from labrun.logs.containers import require_affordable
+from labrun.logs.containers import as_numbers, flat, require_affordable
 
 _STORAGES = {
     "FloatStorage": "<f4", "DoubleStorage": "<f8", "HalfStorage": "<f2", "LongStorage": "<i8", "IntStorage": "<i4",
@@ -123,19 +123,8 @@ def read_pt(path: Path) -> Arrays:
         AttributeError,
     ) as error:
         raise RecordingError(f"{path} cannot be read as tensors: {error}", hint=_HINT) from None
-    return Arrays(dict(_flat(path.stem, saved, top=True)))
+    arrays = flat("" if isinstance(saved, Mapping) else path.stem, saved)
+    return Arrays({name: as_numbers(table) for name, table in arrays if isinstance(table, np.ndarray)})
 
 
 _HINT = 'save tensors alone: torch.save({"time_s": t, "qpos": q, "ctrl": u}, "log.pt")'
-
-
-def _flat(name: str, given: Any, *, top: bool = False) -> Iterator[tuple[str, Any]]:
-    if isinstance(given, Mapping):
-        for key, value in given.items():
-            yield from _flat(str(key) if top else f"{name}/{key}", value)
-    elif isinstance(given, list | tuple):
-        for index, value in enumerate(given):
-            # a list of dictionaries is one of episodes
-            yield from _flat(f"{name}/{'episode_' if isinstance(value, Mapping) else ''}{index}", value)
-    elif isinstance(given, np.ndarray):
-        yield name, given

@@ -266,3 +266,37 @@ def test_parquet_with_dates_and_single_array(tmp_path):
     np.save(tmp_path / "log.npy", np.zeros((50, 3)))
     (stream,) = read_log(tmp_path / "log.npy", ReadOptions(50.0))
     assert len(stream.columns) == 3
+
+
+@pytest.mark.parametrize("cells", [True, False])
+def test_structures_in_a_list_are_episodes_and_those_of_joints_are_not(tmp_path, cells):
+    from scipy.io import savemat
+
+    time_s, _, angles = logs.motion(moves=1)
+    parts = [{"t": time_s[:80], "pos": angles[:80, joint]} for joint in range(2)]
+    savemat(tmp_path / "log.mat", {"trials" if cells else "joint": np.array(parts, dtype=object)})
+    streams = read_log(tmp_path / "log.mat")
+    names = [column.name for stream in streams for column in stream.columns]
+    assert names == (["trials/pos"] if cells else ["joint/0/pos", "joint/1/pos"])
+    assert (streams[0].episode is not None) == cells
+
+
+def test_a_group_for_each_joint_names_it(tmp_path, arm):
+    h5py = pytest.importorskip("h5py")
+    time_s, goals, angles = logs.motion()
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["time"] = time_s
+        for index, joint in enumerate(logs.JOINTS):
+            file[f"robot/{joint}/position"], file[f"robot/{joint}/command"] = (
+                angles[:, index],
+                goals[:, index],
+            )
+    result = import_log(tmp_path / "log.h5", arm, tmp_path / "recording")
+    assert dict(result.channels)["elbow"] == "robot/elbow/position"
+
+
+def test_objects_of_an_archive_are_left_out_by_name(tmp_path):
+    time_s, _, angles = logs.motion(moves=1)
+    np.savez(tmp_path / "log.npz", time=time_s, qpos=angles, meta=np.array({"robot": "arm"}, dtype=object))
+    (stream,) = read_log(tmp_path / "log.npz")
+    assert "log.npz: meta are objects of Python, which are not read; left out" in statements(stream.findings)
