@@ -1,4 +1,4 @@
-"""labrun: experiments on robot benches, and why a simulation disagrees with them.
+"""labrun: experiments on robot benches, and diagnosis of the gap between simulation and bench.
 
 In Python, the commands are functions: ``labrun.run("hinge", dry_run=True)``, ``labrun.fit("hinge")``,
 ``labrun.diagnose("hinge")``; and ``labrun.open("hinge")`` gives the data of a stored run.

@@ -77,7 +77,7 @@ def spread(
                 yield pending.pop(future), future.result()
     except BrokenExecutor as error:
         raise LabrunError(
-            "a worker process ended without a word; the machine may have run out of memory",
+            "a worker process ended without a message; the machine may have run out of memory",
             hint="what is finished is kept, and is not computed again; fewer --workers take less memory",
         ) from error
     finally:

@@ -1,4 +1,4 @@
-"""A run from its open rig to its picture, new or resumed; and how it ends early: stopped, journalled, resumable."""
+"""Carry out a run on an open rig, new or resumed, and end it early so that it can be resumed."""
 
 import json
 from collections import Counter
@@ -63,7 +63,7 @@ FIGURE = "figure.png"
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The honest best, how each search ended, the winner of each level, and which search found the best."""
+    """The confirmed best, the outcome of each search, the winner of each level, and the search that found the best."""
 
     best: Best | None = None
     verdicts: tuple[Verdict, ...] = ()
@@ -85,7 +85,7 @@ def carry_out(
     person: Person | None = None,
     motions: MotionMaker | None = None,
 ) -> RunResult:
-    """Measure, name the honest best, pack, draw; trials that are stored already are not run again.
+    """Measure, confirm the best, pack and plot; trials that are already stored are not repeated.
 
     `motions` are those made for the plan.
 
@@ -125,7 +125,7 @@ def carry_out(
         except LimitReached:
             folder.journal.append("limit-reached", limit=limit)
             done = counted(session.new_trials, "new trial")
-            progress.note(f"stopped after {done}; to go on: {resume_line(folder.path)}")
+            progress.note(f"stopped after {done}; to continue: {resume_line(folder.path)}")
             return _result(folder, best=None, figure=None, finished=False)
         with interrupts.raising():
             result = finish(folder, answer, progress, draw)
@@ -141,7 +141,7 @@ def measure_all(
     unit: str,
     progress: Progress,
 ) -> Answer:
-    """Measure what the experiment asks for, name the honest best, and say how a search ended."""
+    """Measure all conditions or run the search; return the confirmed best and how the search ended."""
     measures: Measures = session
     settings, goal = settings_of(experiment), experiment.goal
     planner = Planner(experiment, rig, session.motions)
@@ -169,7 +169,7 @@ def measure_all(
         return replace(best, range_ends=ends, combined=combined_text(experiment))
 
     def expect(trials: int | None) -> None:
-        """Say how many trials there will be, here and to whoever watches the run from elsewhere."""
+        """Announce the number of trials, on the terminal and in the journal."""
         folder.journal.append("expected", sync=False, trials=trials)
         session.expect(trials)
 
@@ -206,7 +206,7 @@ def _best_level(
     best_of: Callable[[Sequence[Measured], Condition], Best | None],
     progress: Progress,
 ) -> Answer:
-    """Search, once for each level of a factor if there is one; the winners of the levels are compared."""
+    """Run one search, or one for each level of a factor, and compare the winners."""
     levels = levels_of(experiment)
     verdicts, winners = [], []
     barren: list[NoCandidateError] = []  # another level may still have candidates that may run
@@ -234,18 +234,18 @@ def _best_level(
 
 
 def search_folder(run: Path, number: int) -> Path:
-    """Return where the generations of a search stand: of the first one, or the only one, in ``search`` itself."""
+    """Return the folder of a search's generations; the first search uses ``search`` itself."""
     return run / "search" if number == 0 else run / "search" / f"level-{number}"
 
 
 def source_of(experiment_file: Path) -> dict[str, Any]:
-    """Return what provenance keeps of the experiment file, for `changed_keys`: where it is, and its text."""
+    """Return the path and text of the experiment file, as provenance stores them for `changed_keys`."""
     text = experiment_file.read_text(encoding="utf-8") if experiment_file.is_file() else None
     return {"experiment_file": str(experiment_file.resolve()), "experiment_text": text}
 
 
 def require_answer(result: RunResult, experiment: Experiment) -> RunResult:
-    """Return the result of a finished run if it answers anything.
+    """Return the result of a finished run; raise ExperimentError if no trial was accepted.
 
     Raises
     ------
@@ -265,14 +265,14 @@ def require_answer(result: RunResult, experiment: Experiment) -> RunResult:
     error = ExperimentError(
         "\n".join([f"{problem} ({counts})", *reason_lines(result.reasons)]),
         hint=f"everything recorded is kept and packed in {result.run}: labrun show {result.run}; "
-        "mend the cause and start a new run",
+        "fix the cause and start a new run",
     )
     error.details.update(result.to_json())
     raise error
 
 
 def _recorder(experiment: Experiment, rig: Rig, folder: RunFolder, seed: int, progress: Progress) -> Recorder:
-    """Return how trials are recorded: with the loops closed, or cycle by cycle until an end, where asked for."""
+    """Return the recorder of the trials: with closed loops, cycle by cycle until a condition, or plain."""
     if experiment.kind == "track":
         from labrun.control import ClosedLoopRecorder
 
@@ -296,7 +296,7 @@ def objective_unit(experiment: Experiment, rig: Rig, name: str) -> str:
 
 
 def finish(folder: RunFolder, answer: Answer, progress: Progress, draw: bool) -> RunResult:
-    """Pack a run, draw it, and keep its result."""
+    """Pack a run, plot it, and store its result."""
     progress.phase("packing run.h5")
     best = answer.best
 
@@ -331,7 +331,7 @@ def finish(folder: RunFolder, answer: Answer, progress: Progress, draw: bool) ->
 def fitted(
     result: RunResult, experiment: Experiment, progress: Progress, workspace: str | Path = "."
 ) -> RunResult:
-    """Fit a finished run whose file asks for it, once its bench is let go.
+    """Fit a finished run if its file requests it, after the bench is released.
 
     Where that fails the data are safe, and the run counts as done.
     """
@@ -358,7 +358,7 @@ def fitted(
 
 
 def draw(folder: Path, best: Best | None, search: int = 0) -> Path | None:
-    """Draw a run as its kind asks for, into its folder; None where there is nothing to draw."""
+    """Plot a run according to its kind; return None if it has nothing to plot."""
     from labrun.report import run_figure, save_figure  # matplotlib
 
     with open_run(folder) as run:
@@ -368,7 +368,7 @@ def draw(folder: Path, best: Best | None, search: int = 0) -> Path | None:
 
 
 def _drawn(run: Path, best: Best | None, progress: Progress, search: int = 0) -> Path | None:
-    """Draw the run. Whatever goes wrong with a picture, the data are safe and the run counts as done."""
+    """Plot the run; an error while plotting is reported and does not fail the run."""
     progress.phase("drawing")
     try:
         return draw(run, best, search)
@@ -392,7 +392,7 @@ def _result(folder: RunFolder, *, best: Best | None, figure: Path | None, finish
 
 @contextmanager
 def interruptible(state: str = " before anything moved or was written") -> Iterator[None]:
-    """Raise signals where they come in this block; `state` says what became of devices and data, see `Interrupted`."""
+    """Raise `Interrupted` when a signal arrives in this block; `state` describes devices and data."""
     with handled() as interrupts:
         try:
             with interrupts.raising():
@@ -403,7 +403,7 @@ def interruptible(state: str = " before anything moved or was written") -> Itera
 
 @contextmanager
 def resumable(folder: RunFolder, *, stopped: str = "actuators are stopped, ") -> Iterator[None]:
-    """Journal why a run ended early, and tell the person how to go on."""
+    """Journal why a run ended early, and print how to resume it."""
     try:
         yield
     except KeyboardInterrupt as signal:  # between two measurements; during one the session sees to it
@@ -424,7 +424,7 @@ def resumable(folder: RunFolder, *, stopped: str = "actuators are stopped, ") ->
 
 
 def _go_on(folder: RunFolder) -> str:
-    return f"to go on: {resume_line(folder.path)}"
+    return f"to continue: {resume_line(folder.path)}"
 
 
 def _journal_end(folder: RunFolder, event: str, reason: str) -> None:
@@ -446,7 +446,7 @@ def _saved(folder: RunFolder) -> str:
 
 
 def _so_far(folder: RunFolder) -> dict[str, Any]:
-    """Return where the data are and what was done, for scripts."""
+    """Return the run folder and the counts so far, for scripts."""
     try:
         statuses = [outcome.status for outcome in folder.outcomes().values()]
     except (OSError, LabrunError):

@@ -101,7 +101,7 @@ def check(
 
 
 def is_meant_as_recording(target: str) -> bool:
-    """Tell whether a person means a recording by what they typed: its folder, its recording.toml, its name."""
+    """Tell whether a target names a recording: its folder, its recording.toml, or its name."""
     path = Path(target).expanduser()
     if path.name == "recording.toml" or is_recording(path):
         return True
@@ -131,7 +131,7 @@ def require_room(plan: Plan, results: str | Path) -> None:
 def whole_plan(
     loaded: LoadedExperiment, seed: int, rig: Rig | None, motions: MotionMaker | None = None
 ) -> Plan:
-    """Return the plan of every trial; `rig` and `motions` are those that a run has, and goes on with."""
+    """Return the plan of every trial; `rig` and `motions` are those of a resumed run."""
     experiment = loaded.experiment
     planner = Planner(experiment, rig, motions)
     try:
@@ -166,7 +166,7 @@ def whole_plan(
 
 
 def _search_plan(experiment: Experiment, planner: Planner) -> Plan:
-    """Return the plan of the points that a search's constraints allow: those outside a limit never run."""
+    """Return the plan of the points that the constraints of a search allow."""
     assert experiment.cmaes is not None  # noqa: S101  (the file would not have loaded)
     allowed = allowed_points(experiment.cmaes)
     settings = at_settings(levels_of(experiment), settings_of(experiment))
@@ -180,7 +180,7 @@ def _search_plan(experiment: Experiment, planner: Planner) -> Plan:
 def _of_candidates(
     excess: Sequence[ConditionExcess], candidates: Sequence[Condition], settings: Sequence[Condition]
 ) -> tuple[ConditionExcess, ...]:
-    """Return what breaks a limit with the settings left out of each condition: one for each candidate."""
+    """Return the limit violations of each candidate, without the settings in the condition."""
     names = {name for setting in settings for name in setting}
     if not names:
         return tuple(excess)
@@ -194,7 +194,7 @@ def _of_candidates(
 
 
 def _counted(plan: Plan, experiment: Experiment, chosen: Sequence[Condition], count: int) -> Plan:
-    """Count every trial of the run: references and the honest best as well, and all that a search may take.
+    """Return the number of trials, including references, the confirmed best, and the budget of a search.
 
     `chosen` are its conditions, at each setting; without the settings there are `count` of them.
     """
@@ -231,7 +231,7 @@ def _counted(plan: Plan, experiment: Experiment, chosen: Sequence[Condition], co
 
 
 def _damage_notes(experiment: Experiment, chosen: Sequence[Condition]) -> list[str]:
-    """Return what is to be said of conditions that damage.
+    """Return notes on conditions that damage the specimen.
 
     Raises
     ------

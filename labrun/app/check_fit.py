@@ -1,4 +1,4 @@
-"""A second opinion on what another tool fitted to a robot's log."""
+"""Check parameters that another tool fitted to a robot's log."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from labrun.report import other_fit_lines
 
 @dataclass(frozen=True, slots=True)
 class CheckedFit:
-    """What the rule says of another tool's numbers, and where the diagnosis behind it is kept."""
+    """Verdicts on another tool's parameters, and the stored diagnosis behind them."""
 
     fit: OtherFit
     diagnosis: Path
@@ -26,7 +26,7 @@ class CheckedFit:
         return {**self.fit.to_json(), "diagnosis": str(self.diagnosis)}
 
     def to_text(self) -> str:
-        """Return the errors of every joint, a line a number, and where the diagnosis is."""
+        """Return the errors of every joint, one line per parameter, and the path of the diagnosis."""
         return "\n".join([*other_fit_lines(self.fit), f"diagnosis  {self.diagnosis}"])
 
 
@@ -43,7 +43,7 @@ def check_fit(
     results: str | Path = "results",
     note: Note = silent,
 ) -> CheckedFit:
-    """Say which parameters that another tool found the log asks for, and which stand in for something else.
+    """Say which parameters of another tool hold, and which stand in for another cause.
 
     Parameters
     ----------

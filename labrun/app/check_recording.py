@@ -1,4 +1,4 @@
-"""The check of a recording: read whole, held against its model as stated, before any fit; nothing is written."""
+"""Check a recording: read it completely and simulate its model as stated; nothing is written."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -34,7 +34,7 @@ _FAR_OFF = 3.0
 
 @dataclass(frozen=True, slots=True)
 class CheckedRecording:
-    """What a recording holds, and what is to be known before it is fitted or diagnosed.
+    """Contents of a recording, and doubts to clear before it is fitted or diagnosed.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class CheckedRecording:
         }
 
     def to_text(self) -> str:
-        """Return what a person wants to know of it."""
+        """Return the text that the terminal prints."""
         trials, repeats = self.recording.trials, sorted(self.conditions.values())
         lasting = short_time_text(sum(float(trial.time_s[-1] - trial.time_s[0]) for trial in trials))
         times = f"{repeats[0]}" if repeats[0] == repeats[-1] else f"{repeats[0]} to {repeats[-1]}"
@@ -107,7 +107,7 @@ class CheckedRecording:
 
 
 def check_recording(target: str | Path, *, model: str | Path | None = None) -> CheckedRecording:
-    """Read a recording as fits and diagnoses do, and say what is in it, what is wrong, and what to do next.
+    """Read a recording as fits and diagnoses do, and report its contents, faults and the next step.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def check_recording(target: str | Path, *, model: str | Path | None = None) -> C
 
 
 def require_near(target: str | Path, *, results: str | Path = "results") -> None:
-    """Raise RequestError if a robot as stated misses a joint that goals move by far more than it moves.
+    """Raise RequestError if the error of a joint, simulated as stated, far exceeds its motion.
 
     A wrong unit, sign or column explains that more often than physics that is missing. Joints driven by a torque are
     not looked at: nothing holds a simulated robot where the measured one was.
@@ -190,7 +190,7 @@ def require_near(target: str | Path, *, results: str | Path = "results") -> None
 
 
 def _channels(recording: Recording) -> Iterator[tuple[str, str, str, float, float]]:
-    """Yield name, kind, unit, and between which values every channel runs."""
+    """Yield name, kind, unit and range of every channel."""
     for kind, infos in (("input", recording.inputs), ("output", recording.outputs)):
         for index, info in enumerate(infos):
             tables = [trial.inputs if kind == "input" else trial.outputs for trial in recording.trials]
@@ -199,7 +199,7 @@ def _channels(recording: Recording) -> Iterator[tuple[str, str, str, float, floa
 
 
 def checked_trials(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
-    """Return the trials that can be fitted, and in sentences what was found of their clocks.
+    """Return the trials that can be fitted, and remarks on their clocks.
 
     Raises
     ------
@@ -216,12 +216,12 @@ def checked_trials(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
 
 
 def doubts(recording: Recording) -> Iterator[str]:
-    """Yield what numbers alone make doubtful."""
+    """Yield doubts that the values of a recording raise."""
     for name, kind, unit, low, high in _channels(recording):
         if unit == "rad" and _TURNED_TOO_FAR < max(-low, high) < _DEGREES:
             yield f"{name} is said to be in rad and reaches {max(-low, high):.4g}: is it in degrees?"
         if kind == "input" and low == high:
-            yield f"{name} is {low:.4g} throughout: nothing was told to move, or another column was meant"
+            yield f"{name} is {low:.4g} throughout: nothing was commanded, or another column was meant"
     steps = [float(np.median(np.diff(trial.time_s))) for trial in recording.trials if len(trial.time_s) > 2]
     whole = all(bool(np.all(trial.time_s == np.round(trial.time_s))) for trial in recording.trials)
     turning = any(info.unit in _ANGLES for info in (*recording.inputs, *recording.outputs))
@@ -244,7 +244,7 @@ def _by_name(infos: Sequence[SignalInfo], values: FloatArray) -> dict[str, tuple
 
 
 def _held(model: Model, data: Dataset) -> tuple[dict[str, tuple[float, float]], list[str]]:
-    """Simulate every trial as stated; return how far each output is off, and what is to be said of it."""
+    """Simulate every trial as stated; return the error of each output, and remarks."""
     problem = Problem.of(model, data)
     try:
         simulated = problem.simulated(problem.begin())

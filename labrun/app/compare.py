@@ -1,4 +1,4 @@
-"""A prediction held against data: a model as it is stated, or another run or recording."""
+"""Compare a model as stated, or another run or recording, with data."""
 
 import json
 import math
@@ -69,7 +69,7 @@ def compare(
     workspace: str | Path = ".",
     note: Note = silent,
 ) -> StoredComparison:
-    """Hold a model as it is stated, or another run or recording, against data; keep the answer.
+    """Compare a model as stated, or another run or recording, with data; store the answer.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def compare(
     target, other = _by_role(target, other, results)
     if other is not None and model is not None:
         raise RequestError(
-            f"{other} and the model {model} cannot both be held against {target}",
+            f"{other} and the model {model} cannot both be compared with {target}",
             hint="leave one of them out",
         )
     folder = find_data(target, results)
@@ -137,14 +137,14 @@ def compare(
 def _by_role(
     target: str | Path, other: str | Path | None, results: Path
 ) -> tuple[str | Path, str | Path | None]:
-    """Return data and prediction where they are named as ``rig:RUN`` and ``design:RUN``, in either order."""
+    """Return data and prediction named as ``rig:RUN`` and ``design:RUN``, in either order."""
     named = [(run, *_role(run)) for run in (target, other) if run is not None]
     roles = [role for _, role, _ in named]
     if not any(roles):
         return target, other
     if sorted(roles) != ["design", "rig"]:
         raise RequestError(
-            f"{' '.join(str(run) for run, _, _ in named)}: one run is the design's, one the rig's",
+            f"{' '.join(str(run) for run, _, _ in named)}: expected one run of a design and one of a rig",
             hint="labrun compare design:swimmer rig:rowing",
         )
     names = {role: name for _, role, name in named}
@@ -156,7 +156,7 @@ def _by_role(
             else str(tomllib.loads(open_run(folder).experiment_toml).get("kind", ""))
         )
         if (kind == "design") != (role == "design"):
-            mismatch = "is a design: it was simulated" if kind == "design" else "is no design"
+            mismatch = "is a design: it was simulated" if kind == "design" else "is not a design"
             raise RequestError(
                 f"{role}:{name}: {folder} {mismatch}", hint="labrun compare design:swimmer rig:rowing"
             )
@@ -164,7 +164,7 @@ def _by_role(
 
 
 def _role(target: str | Path) -> tuple[str, str]:
-    """Return what a person says that a run is, "" if nothing, and its name."""
+    """Return the role and the name in ``ROLE:NAME``; the role is "" if absent."""
     role, colon, name = str(target).partition(":")
     return (role, name) if colon and role in ("design", "rig") else ("", str(target))
 
@@ -182,7 +182,7 @@ def _beside_model(folder: Path, model: Model, signals: Mapping[str, str]) -> Com
 
 
 def _require_signals(folder: Path, model: Model) -> None:
-    """Refuse to drive a model by a table of numbers."""
+    """Raise RequestError if a model needs signals and the recording is a table of numbers."""
     if not model.inputs or not is_recording(folder):
         return
     recording = read_recording(folder)
@@ -191,13 +191,13 @@ def _require_signals(folder: Path, model: Model) -> None:
     driven = ", ".join(signal.name for signal in model.inputs)
     raise RequestError(
         f"{folder.name} is a table of numbers, and {model.name} predicts signals from {driven}, which it does not have",
-        hint=f"hold a run beside the table, labrun compare RUN {folder.name}; or name a model that predicts "
+        hint=f"compare a run with the table: labrun compare RUN {folder.name}; or name a model that predicts "
         f"{', '.join(output.name for output in recording.outputs)} from conditions alone",
     )
 
 
 def _run_before(folder: Path, target: str | Path, other: str | Path | None) -> Path:
-    """Return the run before that which an experiment's name, given twice, stands for."""
+    """Return the second-latest run of an experiment."""
     named = str(target) == str(other) == folder.parent.name and not is_recording(folder)
     runs = [run for run in all_runs(folder.parent.parent) if run.parent == folder.parent] if named else []
     earlier = runs[: runs.index(folder)] if folder in runs else []
@@ -210,7 +210,7 @@ def _run_before(folder: Path, target: str | Path, other: str | Path | None) -> P
 
 
 def _other_than(data: str, model: str) -> str:
-    """Return the name of a model, told apart from data of the same name."""
+    """Return the name of a model, marked if the data have the same name."""
     return f"the model {model}" if model == data else model
 
 
@@ -221,7 +221,7 @@ def _made(data: str, prediction: str, pairs: Sequence[Pair], notes: tuple[str, .
 
 
 def _share(tolerance: str | float | None) -> float | None:
-    """Return a tolerance as a share of one."""
+    """Return a tolerance as a fraction."""
     if tolerance is None:
         return None
     text = str(tolerance).strip()
@@ -230,7 +230,9 @@ def _share(tolerance: str | float | None) -> float | None:
     except ValueError:
         share = math.nan
     if not 0.0 < share < math.inf:
-        raise RequestError(f"{text!r} is no tolerance", hint="write a share of what is measured, such as 15%")
+        raise RequestError(
+            f"{text!r} is not a valid tolerance", hint="write a share of what is measured, such as 15%"
+        )
     if share > 1.0 and not text.endswith("%"):
         raise RequestError(
             f"a tolerance of {text} is {100 * share:g} %",

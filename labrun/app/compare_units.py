@@ -1,4 +1,4 @@
-"""Two units of one kind, days or gains: what differs between them."""
+"""Compare two units of one kind, two days, or two gains."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,7 +27,7 @@ def compare_units(
     workspace: str | Path = ".",
     note: Note = silent,
 ) -> UnitComparison:
-    """Say which parameter or effect differs between two units, days or gains beyond noise, and which does not.
+    """Find the parameters and effects that differ between two data sets beyond noise.
 
     Parameters
     ----------
@@ -66,5 +66,5 @@ def compare_units(
 
 
 def _names(first: Path, second: Path) -> tuple[str, str]:
-    """Return what two runs or recordings are called: the last part of their paths, if that tells them apart."""
+    """Return names of two runs or recordings: the last part of their paths if they differ."""
     return (first.name, second.name) if first.name != second.name else (str(first), str(second))

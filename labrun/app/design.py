@@ -1,4 +1,4 @@
-"""A design: candidates simulated on all workers, the winner perturbed, drawn, and handed on as files."""
+"""Run a design: simulate candidates on all workers, perturb the winner, and write its files."""
 
 import json
 from collections import Counter
@@ -66,7 +66,7 @@ def design(
     progress: Progress | None = None,
     draw: bool = True,
 ) -> RunResult:
-    """Search geometry and gait in one on a simulation, perturb the winner, and hand it on as files.
+    """Search geometry and gait together on a simulation, perturb the winner, and write its files.
 
     The result is the same for any number of workers.
 
@@ -167,7 +167,7 @@ def design_plan(loaded: LoadedExperiment) -> Plan:
 
 
 def simulator_of(experiment: Experiment, relative_to: Path) -> Simulator:
-    """Return what simulates the candidates of an experiment, whose file stands at `beside`."""
+    """Return the simulator of the candidates of the experiment file at `beside`."""
     if experiment.design is None:
         raise PlanError("the experiment has no table [design]", hint='it needs one with kind = "design"')
     given = experiment.design.model
@@ -187,7 +187,7 @@ def go_on(
     progress: Progress,
     draw: bool = True,
 ) -> RunResult:
-    """Search, name the honest best, and hand it on; what stored generations tell of is not simulated again."""
+    """Search, confirm the best and write its files; stored generations are not simulated again."""
     experiment = simulator.experiment
     goal = experiment.goal
     if goal is None:
@@ -206,9 +206,8 @@ def go_on(
                 )
             except SimulationLimitError:
                 folder.journal.append("limit-reached", limit=limit)
-                progress.note(
-                    f"stopped after {counted(candidates.simulated, 'candidate')}; to go on: {resume_line(folder.path)}"
-                )
+                simulated = counted(candidates.simulated, "candidate")
+                progress.note(f"stopped after {simulated}; to continue: {resume_line(folder.path)}")
                 return RunResult(folder.path, 0, 0, 0, None, None, finished=False)
             progress.phase("copies of the leaders, as they may be built")
             best = honest_best(
@@ -226,7 +225,7 @@ def go_on(
 
 @contextmanager
 def _opened(workers: int | None, cluster: str | None) -> Iterator[Pool | None]:
-    """Give the workers; None where this process computes alone."""
+    """Return the workers, or None if this process computes alone."""
     count = cores() if workers is None else workers
     if cluster is None and count == 1:
         yield None
@@ -242,7 +241,7 @@ def _unit(simulator: Simulator, objective: str) -> str:
 
 
 def _told(simulator: Simulator, best: Best, nominal: Simulated, candidates: Candidates) -> list[str]:
-    """Return what holds the design back, and what its copies do."""
+    """Return the active constraints of the design, and the results of its copies."""
     lines = (
         [
             f"nominal   {best.objective_name} = {nominal.objectives[best.objective_name]:.4g} {best.unit} "
@@ -277,7 +276,7 @@ def _handed_on(
     workspace: Path,
     progress: Progress,
 ) -> list[str]:
-    """Write drawing, dimensions, model and experiments; return the lines that tell where."""
+    """Write drawing, dimensions, model and experiments; return lines with their paths."""
     experiment, design_table, values = simulator.experiment, simulator.design, best.parameters
     run = folder.path
     progress.phase("writing the design")
@@ -329,14 +328,14 @@ def _handed_on(
             loads_experiment(text, name, relative_to=target)
         except RequestError as error:
             progress.note(
-                f"{target} stays as it is: with the values of this design it would be refused; mend "
+                f"{target} stays as it is: with the values of this design it would be refused; correct "
                 f"{run / f'{name}.toml'}, or the ranges in its template: {error}"
             )
             written.append(("rig", run / f"{name}.toml"))
             continue
         if yours:
             progress.note(
-                f"{target} is yours and stays as it is; the experiment of this design is {run / f'{name}.toml'}"
+                f"{target} was edited and is kept; the experiment of this design is {run / f'{name}.toml'}"
             )
             written.append(("rig", run / f"{name}.toml"))
             continue
@@ -347,7 +346,7 @@ def _handed_on(
 
 
 def _place_of(name: str, workspace: Path) -> tuple[Path, bool]:
-    """Return where a command finds an experiment of this name, and whether what is there is a person's own.
+    """Return the path of an experiment in the workspace, and whether a user edited it.
 
     What ``labrun init`` copied and nobody changed is no one's: the design takes its place.
     """
@@ -361,7 +360,7 @@ def _place_of(name: str, workspace: Path) -> tuple[Path, bool]:
 
 
 def _templates(experiment: Experiment, relative_to: Path, workspace: Path) -> dict[str, str]:
-    """Return the text of each experiment that will be written anew for the rig of the design, checked."""
+    """Return the checked text of each experiment to be written for the rig of the design."""
     table = experiment.design
     texts: dict[str, str] = {}
     for name, written in ({} if table is None else table.writes).items():

@@ -1,4 +1,4 @@
-"""A diagnosis: which data, against which model, and where its answer is kept."""
+"""Run a diagnosis of data with a model, and store its answer."""
 
 import shutil
 import time
@@ -60,14 +60,14 @@ class StoredDiagnosis:
 
     @property
     def warning(self) -> str:
-        """What to know before using the saved model; "" where there is nothing, or no model was saved."""
+        """Return a caution about the saved model, or ""."""
         return "" if self.model is None else _warning(self.model, self.diagnosis.to_json())
 
     def _repr_html_(self) -> str:
         return as_html("\n".join(line.plain for line in self.to_text(_NOTEBOOK_WIDTH)), self.figure)
 
     def to_text(self, width: int | None = None) -> list[Text]:
-        """Return the lines of `gap_lines`, and what to open; the terminal's width if none is given."""
+        """Return the lines of `gap_lines` and the path of the report; `width` defaults to the terminal's."""
         width = shutil.get_terminal_size((100, 24)).columns if width is None else width
         files = {"report": self.page or self.numbers}
         if self.model is not None:
@@ -102,7 +102,7 @@ def diagnose(
     workspace: str | Path = ".",
     note: Note = silent,
 ) -> StoredDiagnosis:
-    """Say where a model and measurements differ, which cause explains it, and how far; keep the answer.
+    """Diagnose where model and data differ, which causes explain it, and how much; store the answer.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def diagnose(
 def save(
     target: str | Path, file: Path, *, model: str | Path | None = None, results: str | Path = "results"
 ) -> str:
-    """Write the corrected model of a diagnosis that is kept with a run.
+    """Write the corrected model of a stored diagnosis.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def save(
 def store(
     diagnosis: Diagnosis, folder: Path, *, page: bool = True, source: str | Path | None = None
 ) -> StoredDiagnosis:
-    """Write ``diagnosis.json`` and, if asked for, the page and its picture.
+    """Write ``diagnosis.json`` and, if requested, the page and its figure.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def store(
 
 
 def reveal(target: str | Path, *, results: str | Path = "results") -> "Compared":
-    """Open the seal of a run that was made with ``--hide`` and diagnosed; return what it hid beside what was said.
+    """Open the seal of a run made with ``--hide``, and compare it with the diagnosis.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A robot diagnosed joint by joint, and where its answer is kept."""
+"""Diagnose a robot joint by joint, and store the answer."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ ROBOT = "robot.xml"
 
 @dataclass(frozen=True, slots=True)
 class StoredRobotDiagnosis:
-    """A robot's diagnosis and its files; None what was not asked for."""
+    """A robot's diagnosis and its files; a file is None if not requested."""
 
     diagnosis: RobotDiagnosis
     numbers: Path
@@ -49,7 +49,7 @@ class StoredRobotDiagnosis:
         return any(joint.diagnosis.stopped == "interrupted" for joint in self.diagnosis.joints)
 
     def to_text(self) -> list[str]:
-        """Return a line a joint, and what to open."""
+        """Return one line per joint, and the path of the report."""
         files = {"report": self.page or self.numbers}
         if self.model is not None:
             files["saved"] = self.model
@@ -64,7 +64,7 @@ class StoredRobotDiagnosis:
 
 
 def joint_by_joint(target: str | Path, results: str | Path = "results") -> str | None:
-    """Return why a robot's recording cannot be diagnosed joint by joint, "" if it can, None if it is none of a robot.
+    """Return why a recording cannot be diagnosed joint by joint: "" if it can, None if it has no robot.
 
     A recording of a robot has ``robot.xml`` and ``model.toml`` beside its trials, as `import_log` writes it.
     """
@@ -76,7 +76,7 @@ def joint_by_joint(target: str | Path, results: str | Path = "results") -> str |
 
 
 def robot_of(folder: Path, dataset: Dataset) -> Robot:
-    """Return the robot of a recording, a gripper of tied joints held where the log has it on the average.
+    """Return the robot of a recording, with the coupled joints of a gripper held at their mean.
 
     Its remarks are of that alone: what the file lacks was said when the log was imported.
     """
@@ -101,7 +101,7 @@ def diagnose_joints(
     results: str | Path = "results",
     note: Note = silent,
 ) -> StoredRobotDiagnosis:
-    """Say of every joint of a robot where model and log differ, which cause explains it, how far; keep the answer.
+    """Diagnose every joint of a robot, and store the answer.
 
     Parameters
     ----------

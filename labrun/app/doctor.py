@@ -1,4 +1,4 @@
-"""What `labrun doctor` looks at: the machine, and with `--hardware` the devices themselves."""
+"""Examine the machine and, with `--hardware`, the devices."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ def doctor(
     hardware: bool = False,
     emulate: bool = False,
 ) -> tuple[Remark, ...]:
-    """Look at the machine, or at devices, and return what is found. Nothing is moved.
+    """Examine the machine or the devices; nothing is moved.
 
     Parameters
     ----------
@@ -50,10 +50,10 @@ def examine(
     hardware: bool,
     emulate: bool,
 ) -> Iterator[Remark]:
-    """Yield what `doctor` returns, as it is found: a bench answers slowly, and a person watches."""
+    """Yield the remarks of `doctor` one by one, because a bench answers slowly."""
     if (experiment is not None or emulate) and not hardware:
         raise RequestError(
-            "an experiment and --emulate are for looking at devices", hint="add --hardware: nothing is moved"
+            "an experiment or --emulate needs --hardware", hint="add --hardware; nothing is moved"
         )
     if emulate and experiment is None:
         raise RequestError(

@@ -1,4 +1,4 @@
-"""A fit: which data, by which method, with which model; its figure and its numbers are kept."""
+"""Fit data by a method with a model; store figure and numbers."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ def fit(
     workspace: str | Path = ".",
     note: Note = silent,
 ) -> FitSummary:
-    """Fit a recording or a run, draw the figure, and keep both.
+    """Fit a recording or a run; store the result and its figure.
 
     Parameters
     ----------
@@ -126,13 +126,13 @@ def fit(
 
 
 def _lent_plan(experiment: str, folder: Path, workspace: Path, *, need_model: bool) -> FitPlan:
-    """Return how an experiment declares its fit, for data that may come from elsewhere."""
+    """Return the fit that an experiment declares, for other data."""
     loaded = load_named(experiment, workspace)
     table = loaded.experiment.fit
     if table is None:
         raise RequestError(
-            f"{experiment} does not say how to fit its data",
-            hint=f"give its file a table [fit], or name a model: labrun fit {folder} --model FILE",
+            f"{experiment} has no [fit] table",
+            hint=f"add a [fit] table to its file, or name a model: labrun fit {folder} --model FILE",
         )
     if not is_recording(folder):
         return declared_plan(table, loaded.path, workspace, need_model=need_model)
@@ -157,6 +157,4 @@ def _require_known(name: str, workspace: Path) -> None:
         return
     near = nearest(name, [*fits, *models])
     known = f"fits: {', '.join(fits)}; models: {', '.join(models)}, or the path of a .toml file"
-    raise RequestError(
-        f"there is no fit or model {name!r}", hint=f"did you mean {near!r}?" if near else known
-    )
+    raise RequestError(f"unknown fit or model {name!r}", hint=f"did you mean {near!r}?" if near else known)

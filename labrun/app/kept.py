@@ -1,4 +1,4 @@
-"""Where answers about data are kept: beside the run they are of, or below the results; never in a recording."""
+"""Store answers in the folder of their run, or below the results; never in a recording."""
 
 import hashlib
 import json
@@ -26,7 +26,7 @@ def keep(
     source: str | Path | None,
     drawn: Callable[[], tuple[str, Any]] | None,
 ) -> Kept:
-    """Write a diagnosis, and where its model came from; one that is there already is put aside.
+    """Write a diagnosis and the origin of its model; an earlier one is renamed.
 
     `drawn` makes the page, and the picture as a figure; None if they are not asked for. Raises StoreError: a file
     cannot be written.
@@ -57,7 +57,7 @@ def as_texts(**files: Path | None) -> dict[str, str | None]:
 
 
 def read_stored(run: Path) -> Mapping[str, Any]:
-    """Return the diagnosis that is kept with a run, as ``--json`` printed it.
+    """Return the stored diagnosis of a run, as ``--json`` printed it.
 
     Raises
     ------
@@ -74,12 +74,12 @@ def read_stored(run: Path) -> Mapping[str, Any]:
     except (OSError, ValueError) as error:
         raise RequestError(f"{path} cannot be read: {error}", hint=hint) from None
     if not isinstance(stored, dict) or "verdict" not in stored:
-        raise RequestError(f"{path} is no diagnosis", hint=hint)
+        raise RequestError(f"{path} is not a diagnosis", hint=hint)
     return stored
 
 
 def kept_folder(target: Path, results: Path, what: str) -> Path:
-    """Return where an answer about a run is kept, its folder `what`.
+    """Return the folder `what` for answers about a run.
 
     Of a recording, a new one below `results`, beside the runs of its name.
     """
@@ -90,7 +90,7 @@ def kept_folder(target: Path, results: Path, what: str) -> Path:
 
 
 def stem_of(name: str) -> str:
-    """Return what files of this name are called: several answers about one run stand side by side.
+    """Return the stem of the files of an answer; a run may have several.
 
     A name in which characters have to be replaced gets a digest of the whole behind it, so that the files of ``a.b``
     and ``a-b`` are two.
@@ -100,7 +100,7 @@ def stem_of(name: str) -> str:
 
 
 def _put_aside(folder: Path) -> None:
-    """Keep an earlier diagnosis under the next free number."""
+    """Rename an earlier diagnosis with the next free number."""
     if not (folder / NUMBERS).exists():
         return
     number = 1

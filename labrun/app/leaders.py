@@ -1,4 +1,4 @@
-"""The leaders of a run as conditions of another: gaits that were found on one bench, tried on the next."""
+"""Use the leaders of one run as conditions of another."""
 
 import tomllib
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ from labrun.toml import written_in_order
 
 
 def with_leaders(loaded: LoadedExperiment, results: Path, *, planned: bool = False) -> LoadedExperiment:
-    """Return an experiment with the leaders that it asks for in the place of ``leaders_of``.
+    """Return an experiment with ``leaders_of`` replaced by the leaders.
 
     Leaders that are to be measured beside its own are left out as long as there is no run of them.
 
@@ -66,7 +66,7 @@ def with_leaders(loaded: LoadedExperiment, results: Path, *, planned: bool = Fal
 
 
 def missing_beside(experiment: Experiment, results: Path) -> list[str]:
-    """Return the experiments whose leaders are wanted beside this one's, and of which there is no run yet."""
+    """Return the experiments named by ``leaders.beside`` that have no run yet."""
     given = experiment.leaders.beside
     return (
         [name for name in given.experiments if not _has_run(name, results)]
@@ -86,7 +86,7 @@ def _has_run(name: str, results: Path) -> bool:
 def _taken(
     asked: LeadersOf, loaded: LoadedExperiment, results: Path, *, planned: bool
 ) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
-    """Return the leaders that are asked for, and the runs they are of."""
+    """Return the requested leaders and their runs."""
     taken: list[dict[str, Any]] = []
     sources = []
     for name in asked.experiments:
@@ -99,7 +99,7 @@ def _taken(
             run = find_run(name, results)
         except RequestError as error:
             raise RequestError(
-                f"{loaded.name} takes over the leaders of {name}, and there is no run of it in {results}",
+                f"{loaded.name} takes over the leaders of {name}, which has no run in {results}",
                 hint=f"labrun cmaes {name}, and then this one",
             ) from error
         taken += [dict(leader) for leader in leaders_of(run, asked.count, loaded.experiment)]
@@ -108,7 +108,7 @@ def _taken(
 
 
 def leaders_of(run: Path, count: int, wanted: Experiment | None = None) -> list[Condition]:
-    """Return the leaders of a finished run, best first, as its fresh repeats order them, the others after them.
+    """Return the leaders of a finished run, ordered by their fresh repeats; other conditions follow.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def leaders_of(run: Path, count: int, wanted: Experiment | None = None) -> list[
     folder = run.parent if run.is_file() else run
     if not is_finished(folder):
         raise RequestError(
-            f"{run} did not come to its end: its leaders were not measured again",
+            f"{run} has not finished: its leaders were not measured again",
             hint=f"labrun resume {run}, or name another run",
         )
     with open_run(folder) as opened:
@@ -135,7 +135,7 @@ def leaders_of(run: Path, count: int, wanted: Experiment | None = None) -> list[
     if wanted is not None:
         _require_same_rig(experiment, wanted, run)
     if experiment.goal is None:
-        raise RequestError(f"{run} has no goal, so that it has no leaders", hint="give an objective a goal")
+        raise RequestError(f"{run} has no goal, so it has no leaders", hint="give an objective a goal")
     name, direction = experiment.goal
     led: list[Condition] = []
     for roles in (("fresh",), ("measure", "fresh", "confirm")):
@@ -157,7 +157,7 @@ def leaders_of(run: Path, count: int, wanted: Experiment | None = None) -> list[
         led += [condition for condition in ranked if condition_key(condition) not in known]
     if len(led) < count:
         raise RequestError(
-            f"{run} has {len(led)} conditions with an accepted trial, and {count} leaders are wanted",
+            f"{run} has {len(led)} conditions with an accepted trial, and {count} leaders are required",
             hint="a smaller count, or a run that measured more",
         )
     return led[:count]

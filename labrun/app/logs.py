@@ -1,4 +1,4 @@
-"""A log of a robot and its description, made into a recording, or shown as it would be read."""
+"""Import a robot's log with its description as a recording, or preview the import."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -62,7 +62,7 @@ _TORQUE_ROLES = frozenset({"torque", "torque-command", "current"})
 
 @dataclass(frozen=True, slots=True)
 class LogAnswers:
-    """What a person said of a log; each is the text of its flag.
+    """Answers to questions about a log; each is the text of its flag.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class ImportedLog:
         }  # fmt: skip
 
     def to_text(self) -> str:
-        """Return what a person wants to know of it."""
+        """Return the text that the terminal prints."""
         width = max(len(name) for name, _ in self.channels)
         lines = [f"{self.trials} trial{'s' * (self.trials != 1)}, {self.duration_s:.4g} s"]
         lines += [f"  {name:<{width}}  {column}" for name, column in self.channels]
@@ -138,7 +138,7 @@ class ImportedLog:
 
 @dataclass(frozen=True, slots=True)
 class LogPreview:
-    """What an import would read, and what it asks; nothing was written.
+    """What an import would read, and its open questions; nothing is written.
 
     Attributes
     ----------
@@ -178,7 +178,7 @@ class LogPreview:
 
 @dataclass(frozen=True, slots=True)
 class _Reading:
-    """All that was read of the logs, with proposals in place of answers that are missing.
+    """Everything read from the logs, with proposals for missing answers.
 
     Attributes
     ----------
@@ -214,7 +214,7 @@ def import_log(
     cut_s: float | None = None,
     rate_hz: float | None = None,
 ) -> ImportedLog:
-    """Make a recording of a robot's logs: columns matched by name, stamps and turns repaired, cut into trials.
+    """Import robot logs: match columns by name, repair stamps and turns, cut into trials.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def _paths(log: str | Path | Sequence[str | Path]) -> list[Path]:
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """Return what tells logs apart: their names, numbered where they are alike."""
+    """Return distinct names of logs, numbered if equal."""
     names = [path.name for path in paths]
     return [
         f"{name} ({names[: index + 1].count(name)})" if names.count(name) > 1 else name
@@ -382,7 +382,7 @@ def _without_absent_drives(
 
 
 def _within(asked: Mapping[str, str], log: Sequence[Stream], streams: Sequence[Stream]) -> dict[str, str]:
-    """Return the answers that are about one of several logs: not those that name a column of another."""
+    """Return the answers that concern one log."""
 
     def names(some: Sequence[Stream]) -> set[str]:
         return {
@@ -451,7 +451,7 @@ def _asked(mapping: Sequence[str]) -> dict[str, str]:
 
 
 def _driven(path: Path, streams: Sequence[Stream], asked: Mapping[str, str], *, repair: bool) -> Robot:
-    """Return the robot, with an actuator at each joint that has none and whose command the log holds."""
+    """Return the robot with an actuator added at each joint whose command is in the log."""
     robot = read_robot(path, repair=repair)
     moved = {actuator.joint for actuator in robot.actuators}
     columns = [column for stream in streams for column in stream.columns]
@@ -575,7 +575,7 @@ def _left_out(table: LogTable, bad: Sequence[tuple[Piece, str]]) -> list[str]:
 
 
 def _at_rest(table: LogTable, trials: Sequence[Piece]) -> bool:
-    """Tell whether every trial begins at rest, as far as its first tenth of a second shows it through the noise."""
+    """Tell whether every trial begins at rest, judged by its first 0.1 s."""
     period = table.period_s
     count = max(5, round(0.1 / period))
     for index in table.recorded("output"):

@@ -98,7 +98,7 @@ def plan_trials(
     experiment = loaded.experiment
     if experiment.kind == "cmaes":
         raise RequestError(
-            f"{loaded.name} searches: it chooses its conditions as it goes",
+            f"{loaded.name} searches: it chooses its conditions during the run",
             hint="name an experiment of kind run or sweep on the same rig",
         )
     table = experiment.gap or experiment.fit

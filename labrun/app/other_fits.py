@@ -1,4 +1,4 @@
-"""Numbers of other tools read from their files: mujoco.sysid, PACE, Isaac Lab, an identified MJCF, or a plain table."""
+"""Read parameters fitted by other tools: mujoco.sysid, PACE, Isaac Lab, an identified MJCF, or a table."""
 
 import json
 import re
@@ -26,7 +26,7 @@ _HINT = "a plain table is {joint: {armature: 0.01, damping: 0.2, frictionloss: 0
 
 
 def read_fit(path: Path, robot: Robot) -> list[FittedValue]:
-    """Return what another tool found of a robot.
+    """Return the parameters of a robot that another tool fitted.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def _table(path: Path) -> Mapping[str, Any]:
     except ValueError as error:
         raise RequestError(f"{path} cannot be read: {error}", hint=_HINT) from None
     if not isinstance(table, dict):
-        raise RequestError(f"{path} is no table of parameters", hint=_HINT)
+        raise RequestError(f"{path} is not a table of parameters", hint=_HINT)
     return table
 
 

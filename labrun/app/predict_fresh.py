@@ -1,4 +1,4 @@
-"""A model held against data that it never saw."""
+"""Test a model on data that its fit has not used."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -27,7 +27,7 @@ def predict_fresh(
     workspace: str | Path = ".",
     note: Note = silent,
 ) -> FreshTest:
-    """Say how well a model predicts a recording that it was not fitted to, by prediction horizon.
+    """Return the errors of a model on fresh data, by prediction horizon.
 
     Parameters
     ----------
@@ -54,8 +54,8 @@ def predict_fresh(
     chosen = named_model(model, Path(workspace))
     if chosen.origin is not None and chosen.origin.data and _same(chosen.origin.data, folder):
         raise RequestError(
-            f"{model} was corrected by {folder}: on the data of its fit it says nothing of how far it reaches",
-            hint="record the bench again, in another condition if you can, and name that with --fresh",
+            f"{model} was fitted to {folder}; a test needs data that its fit has not used",
+            hint="record the bench again, if possible in another condition, and name the run with --fresh",
         )
     note(f"reading {folder}")
     question = ask(folder, model, signals=signals, workspace=Path(workspace))
@@ -86,7 +86,7 @@ def _same(path: str, other: Path) -> bool:
 def _seen_again(
     fresh: Dataset, data: str, model: str | Path, signals: Mapping[str, str] | None, workspace: Path
 ) -> str:
-    """Say which trial of fresh data, or how many, a model was corrected by, sample for sample; "" if there are none.
+    """Name the trials of the fresh data that the model was fitted to; "" if none.
 
     Trials that stand still are alike without being the same. What cannot be read any more is not compared.
     """
@@ -107,9 +107,9 @@ def _seen_again(
 
 
 def _origin(model: Model) -> tuple[Model | None, tuple[str, ...]]:
-    """Return the model that was corrected, or a sentence on why there is none beside this one."""
+    """Return the model before correction, or a sentence that says why it is not available."""
     if model.origin is None:
-        return None, ("the model does not say what it came from: --beside MODEL sets another one beside it",)
+        return None, ("the model does not state its origin; name another one with --beside MODEL",)
     try:
         return load_model(model.origin.model), ()
     except LabrunError as error:

@@ -1,4 +1,4 @@
-"""A log file of the progress of long work: a line now and then, beside what the terminal shows."""
+"""A progress log file for long computations."""
 
 import time
 from collections.abc import Iterator
@@ -13,13 +13,13 @@ _EVERY_S = 1.0
 
 
 def progress_file(folder: Path) -> Path:
-    """Return the log file of work whose answer is kept in `folder`; it stands beside the folder."""
+    """Return the path of the progress log beside `folder`."""
     return folder.with_name(f"{folder.name}-progress.log")
 
 
 @contextmanager
 def logged(note: Note, file: Path) -> Iterator[Note]:
-    """Give a note that also appends lines with the time of day to a file, at most one every few seconds.
+    """Yield a note function that also appends time-stamped lines to a file, at most one every few seconds.
 
     The folder of `file` is made. The last note is always written.
     """

@@ -1,4 +1,4 @@
-"""What a person names: data, how they are fitted, and the model they are held against."""
+"""Resolve the data, fit plan and model that a command names."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from labrun.toml import suggest
 
 
 def named_model(name: str | Path, workspace: Path, experiment: Path | None = None) -> Model:
-    """Return the model that a person names.
+    """Return the model of a name or path.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def named_model(name: str | Path, workspace: Path, experiment: Path | None = Non
 
 
 def fit_plan(target: Path, workspace: Path, *, need_model: bool = True) -> FitPlan:
-    """Return what data say about their own fit.
+    """Return the fit plan that the data declare.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def fit_plan(target: Path, workspace: Path, *, need_model: bool = True) -> FitPl
         return FitPlan(model=load_model(path)) if need_model and path.is_file() else FitPlan()
     if not target.exists():
         raise RequestError(
-            f"there is no recording or run at {target}",
+            f"cannot find a recording or run at {target}",
             hint="labrun list shows the experiments and their runs",
         )
     run = open_run(target)
@@ -106,14 +106,14 @@ def ask(
 
 
 def _loaded(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset:
-    """Return trials whose conditions do not tell repeats apart."""
+    """Return trials with the names in ``[gap] repeats`` removed from their conditions."""
     dataset, table = load_held(target, model, signals), _gap_table(target)
     same = set(table.repeats) if table is not None else set()
     used = {meaning.of or name for name, meaning in model.meanings.items()} | set(model.conditions)
     known = sorted(same & used)
     if known:
         raise RequestError(
-            f"model {model.name} tells {', '.join(known)} apart, and [gap] repeats says that they are repeats",
+            f"model {model.name} tells {', '.join(known)} apart, but [gap] repeats declares them as repeats",
             hint="take them out of repeats, or name another model",
         )
     trials = [
@@ -124,7 +124,7 @@ def _loaded(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset:
 
 
 def load_held(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset:
-    """Return the trials that a model is held against, as far as the experiment says that they count.
+    """Return the trials to compare with a model, restricted as ``[gap]`` states.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def load_held(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset
 
 
 def held_against(target: Path, given: Model | None, workspace: Path) -> tuple[Model, Mapping[str, str]]:
-    """Return the model that data are held against, and which of their channels are its inputs and outputs.
+    """Return the model to compare with, and the mapping of its inputs and outputs to channels.
 
     Raises
     ------
@@ -162,14 +162,14 @@ def held_against(target: Path, given: Model | None, workspace: Path) -> tuple[Mo
     model = given or plan.model
     if model is None:
         raise RequestError(
-            f"no model to hold {target} against",
+            f"no model to compare {target} with",
             hint="name one with --model, in [gap] or [fit] of the experiment, or as model.toml beside a recording",
         )
     return model, plan.signals
 
 
 def _gap_table(target: Path) -> GapTable | None:
-    """Return what the experiment of a run says, None for recordings and for experiments that say nothing."""
+    """Return the ``[gap]`` table of a run's experiment; None if it has none."""
     if is_recording(target) or not target.exists():
         return None
     run = open_run(target)
@@ -184,7 +184,7 @@ def _joined(dataset: Dataset, other: Dataset) -> Dataset:
     if mine != theirs:
         raise RequestError(
             f"{other.source} has other channels than {dataset.source}: {theirs} beside {mine}",
-            hint="diagnose together only what was recorded alike",
+            hint="diagnose only recordings with the same channels together",
         )
     return replace(
         dataset,

@@ -1,4 +1,4 @@
-"""Does the laboratory's order hold in the field? Gaits by setting, how far both orders agree, which gait to take."""
+"""Compare the order of gaits in the laboratory and in the field, and recommend a gait."""
 
 import json
 from collections.abc import Sequence
@@ -26,14 +26,14 @@ def rank(
     seed: int = 0,
     results: str | Path = "results",
 ) -> Ranking:
-    """Compare the order of gaits in the laboratory with that in the field, name the gait to take, and store that.
+    """Compare the order of gaits in the laboratory and in the field, recommend a gait, and store the result.
 
     Parameters
     ----------
     laboratories
         Runs that the gaits were found or measured in: an experiment's name (its latest run) or a run folder.
     field
-        The run in the field; its conditions are the gaits, each measured at every setting (`run.over`).
+        The run in the field; its conditions are the gaits, and its settings (`run.over`) the waters.
     objective
         Of the field; the one with a goal, or the first, if None.
     seed
@@ -60,7 +60,7 @@ def rank(
             or "none was run"
         )
         raise RequestError(
-            f"{label} has no trial that counts: {reasons}", hint=f"labrun resume {label}, or run it anew"
+            f"{label} has no accepted trial: {reasons}", hint=f"labrun resume {label}, or run it again"
         )
     notes: list[str] = []
     gaits = _gaits(experiment, counted, label)
@@ -120,7 +120,7 @@ def _with_winner(ranking: Ranking) -> Ranking:
         if len(known) == len(bounds):
             worst[index] = min(known)
     if not worst:
-        note = "no gait has two trials that count at every setting, so that none can be taken"
+        note = "no gait has two trials that count in every water, so that none can be taken"
         return replace(ranking, notes=(*ranking.notes, note))
     best = max(worst.values())
     first, *tied = [index for index, bound in worst.items() if bound == best]
@@ -161,8 +161,8 @@ def _gaits(experiment: Experiment, counted: Sequence[TrialOutcome], label: str) 
         conditions.setdefault(condition_key(gait), gait)
     if len(conditions) < 2:
         raise RequestError(
-            f"{label} tried {len(conditions)} gait: there is nothing to rank",
-            hint=f"labrun resume {label}, if it did not come to its end, or more gaits in [run] conditions",
+            f"{label} tried {len(conditions)} gait; a ranking needs two",
+            hint=f"labrun resume {label}, if it has not finished, or more gaits in [run] conditions",
         )
     return sorted(conditions.values(), key=lambda gait: float(gait.get(NUMBER, 0.0)))
 
@@ -186,7 +186,7 @@ def _values(trials: Sequence[TrialOutcome], name: str) -> FloatArray:
 
 
 def _key(gait: Condition) -> object:
-    """Return what a gait is known by everywhere: its values without the number that one run gave it."""
+    """Return the key of a gait across runs: its values without its number."""
     return condition_key({name: value for name, value in gait.items() if name != NUMBER})
 
 
@@ -198,7 +198,7 @@ def _laboratory(target: str, results: Path) -> tuple[str, dict[object, FloatArra
     label, outcomes, experiment, units = _run(target, results)
     if experiment.goal is None:
         raise RequestError(
-            f"{label} has no goal, so that it has no order", hint="name a search or a sweep with a goal"
+            f"{label} has no goal, so its gaits cannot be ranked", hint="name a search or a sweep with a goal"
         )
     name, direction = experiment.goal
     values_of: dict[object, list[float]] = {}

@@ -1,4 +1,4 @@
-"""What comes out of a run: what it found, in the terminal or as one HTML file, and its data for other programs."""
+"""Report a run in the terminal or as HTML, and export its data."""
 
 import json
 from collections.abc import Iterator
@@ -50,14 +50,14 @@ def report(
 
 @contextmanager
 def opened(target: str | Path | None = None, *, results: str | Path = "results") -> Iterator[Findings]:
-    """Open what a run found, or what a recording holds; `target` and `results` as for `report`."""
+    """Open the results of a run, or a recording; `target` and `results` as for `report`."""
     named = find_run(None, Path(results)) if target is None else target
     with open_target(str(named), Path(results)) as run:
         yield read_findings(run)
 
 
 def write_report(findings: Findings, output: Path | None = None) -> Path:
-    """Write the report of a run: one file, which holds everything it shows and loads nothing.
+    """Write the report of a run as one self-contained HTML file.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def _writing(path: Path) -> Iterator[None]:
 
 
 def read_findings(run: Run) -> Findings:
-    """Read an open run with all that lies beside it; finished or not, packed or not, measured or imported.
+    """Read an open run with its fits and diagnoses, whether finished, packed, measured or imported.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def stored_fits(folder: Path) -> list[StoredFit]:
 
 
 def stored_gap(folder: Path) -> StoredGap | None:
-    """Return the newest diagnosis that is kept in a run's folder; None if there is none."""
+    """Return the newest diagnosis in a run's folder, or None."""
     if not (folder / GAP_FOLDER).is_dir():
         return None
     page = f"{GAP_FOLDER}/{PAGE}" if (folder / GAP_FOLDER / PAGE).is_file() else None
@@ -146,7 +146,7 @@ def stored_gap(folder: Path) -> StoredGap | None:
 
 
 def confirmed_best(view: RunView) -> Best | None:
-    """Return the honest best from the confirming trials that are there; None if there are none.
+    """Return the confirmed best from the confirming trials; None without them.
 
     What a finished run keeps in its result, for a packed file alone and for a run that stopped close to its end.
     """

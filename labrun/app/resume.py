@@ -1,4 +1,4 @@
-"""Going on with a run that stopped."""
+"""Resume a run."""
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -29,7 +29,7 @@ def resume(
     draw: bool = True,
     person: Callable[[str], str] | None = None,
 ) -> RunResult:
-    """Go on with a run by replay: stored trials are served, missing ones are run, the result is the same.
+    """Resume a run by replay: stored trials are read, missing ones are run.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def resume(
         try:
             return _go_on(path, reporter, accept_changed_spec, limit, draw, person)
         except Interrupted as error:
-            error.hint = error.hint or f"to go on: {resume_line(path)}"
+            error.hint = error.hint or f"to continue: {resume_line(path)}"
             raise
 
 
@@ -161,12 +161,12 @@ def _refuse_or_note(
 ) -> None:
     path = origin["experiment_file"]
     if accept:
-        progress.note(f"{path} has changed since; going on with the specification the run began with")
+        progress.note(f"{path} has changed since; continuing with the stored experiment")
         return
     listed = "".join(f"\n    {change}" for change in changes[:_MOST_CHANGES])
     more = f"\n    and {len(changes) - _MOST_CHANGES} more" if len(changes) > _MOST_CHANGES else ""
     raise RequestError(
         f"{path} has changed since this run began:{listed}{more}",
-        hint=f"{resume_line(run)} --accept-changed-spec goes on with the specification the run began with; "
-        "a new run takes the new one",
+        hint=f"{resume_line(run)} --accept-changed-spec continues with the stored experiment; "
+        "a new run uses the changed file",
     )

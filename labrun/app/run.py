@@ -1,4 +1,4 @@
-"""A new run: planned, connected, carried out."""
+"""Start a new run: plan, connect, carry out."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -14,6 +14,7 @@ from labrun.errors import RequestError
 from labrun.interrupts import handled
 from labrun.objectives import ASKED
 from labrun.runner import (
+    AutoConfirm,
     EmulatedBench,
     MotionMaker,
     Person,
@@ -23,7 +24,6 @@ from labrun.runner import (
     Scripted,
     SilentProgress,
     SimulatedClock,
-    Willing,
     has_emulator,
     ports_of,
 )
@@ -49,7 +49,7 @@ def run(
     draw: bool = True,
     person: Callable[[str], str] | None = None,
 ) -> RunResult:
-    """Run an experiment of any kind to its end: trials, honest best, ``run.h5``, picture.
+    """Run an experiment of any kind: trials, confirmed best, ``run.h5``, figure.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def _on_bench(
 
 
 def who_mounts(experiment: Experiment, *, simulated: bool, person: Callable[[str], str] | None) -> Person:
-    """Return who sets what is set by hand.
+    """Return the person who sets factors by hand.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def who_mounts(experiment: Experiment, *, simulated: bool, person: Callable[[str
         return Scripted(person)
     asked = [name for name, objective in experiment.objectives.items() if objective.plugin == ASKED]
     if (experiment.by_hand is None and not asked) or simulated:
-        return Willing()
+        return AutoConfirm()
     terminal = Terminal()
     try:
         terminal.require()
@@ -216,7 +216,7 @@ def who_mounts(experiment: Experiment, *, simulated: bool, person: Callable[[str
         parts = ["set " + ", ".join(set_by_hand) + " by hand"] if set_by_hand else []
         parts += ["type " + ", ".join(asked)] if asked else []
         raise RequestError(
-            f"somebody has to {' and '.join(parts)}, and {error}: nobody could be asked",
+            f"somebody has to {' and '.join(parts)}, and {error}: this needs a person at a terminal",
             hint="run labrun in a terminal, without redirecting its input, or from Python: labrun.run(..., person=...)",
         ) from error
     return terminal
@@ -249,7 +249,7 @@ def connected(rig: Rig) -> Iterator[Rig]:
 def behind_the_drivers(
     experiment: Experiment, *, seed: int, emulate: bool, progress: Progress
 ) -> Iterator[EmulatedBench | None]:
-    """Run the emulators of an experiment's devices; None where they are not asked for.
+    """Run the emulators of an experiment's devices; yield None if not requested.
 
     Raises
     ------

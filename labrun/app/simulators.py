@@ -1,4 +1,4 @@
-"""A diagnosis for other simulators: the corrected MJCF, and ranges for domain randomisation."""
+"""Export a diagnosis for simulators: the corrected MJCF, and ranges for domain randomisation."""
 
 import json
 import tempfile
@@ -46,7 +46,7 @@ _REMARKS = (
 
 @dataclass(frozen=True, slots=True)
 class ExportedRobot:
-    """What was written for other simulators.
+    """Files written for other simulators.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class ExportedRobot:
         }  # fmt: skip
 
     def to_text(self) -> str:
-        """Return what a person wants to know of it."""
+        """Return the text that the terminal prints."""
         lines = [f"wrote {self.file}", *(f"  {part}" for part in self.exported.written)]
         if self.exported.left:
             lines += ["not in it:", *(f"  {part}" for part in self.exported.left)]
@@ -118,7 +118,10 @@ def export_robot(
     path = Path(target).expanduser()
     if path.suffix == ".toml" and path.is_file():
         if ranges is not None:
-            raise RequestError("a model alone has no intervals", hint="name the recording that was diagnosed")
+            raise RequestError(
+                "ranges need data: a model alone has no intervals",
+                hint="name the recording that was diagnosed",
+            )
         exported = mjcf_of(load_model(path))
         _write(file, exported.xml)
         return ExportedRobot(file, exported)
@@ -147,7 +150,7 @@ def export_robot(
 
 
 def _checked(stored: Mapping[str, Any], source: str, note: Note) -> FileCheck | None:
-    """Return what a corrected robot is worth on data that its fit has not seen, as stored where it was saved."""
+    """Return the stored errors of a corrected robot on held-out data."""
     if "joints" not in stored:
         return None
     if "file_check" in stored:
@@ -163,7 +166,7 @@ def _write(file: Path, text: str) -> None:
 
 
 def _fitted(stored: Mapping[str, Any], source: str, corrected: Path, note: Note) -> Mapping[str, Estimate]:
-    """Return the corrected parameters, fitted once more: of a robot that was diagnosed joint by joint, in that way."""
+    """Refit the corrected parameters, joint by joint if the robot was diagnosed so."""
     note("fitting the corrected model to every trial")
     if "joints" in stored:
         model, recording = load_model(source), Path(source).parent
@@ -206,7 +209,7 @@ def _diagnosis(path: Path, target: str, results: Path) -> Mapping[str, Any]:
 
 
 def _read(numbers: Path) -> dict[str, Any]:
-    """Return a diagnosis; nothing of one that cannot be read."""
+    """Return a diagnosis, empty if it cannot be read."""
     try:
         return dict(json.loads(numbers.read_text(encoding="utf-8")))
     except (OSError, ValueError):

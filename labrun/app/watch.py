@@ -1,4 +1,4 @@
-"""What there is to see of a run that is being executed elsewhere."""
+"""Follow a run that another process executes."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ _LAST_TRIALS = 6
 
 
 class Watcher:
-    """Looks at a run again and again; reads only, and locks nothing.
+    """Polls a run; reads only, and locks nothing.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class Watcher:
 
 
 def _channels_of(experiment: Experiment) -> Iterable[str]:
-    """Yield the channels that matter most first: the goal's, other objectives', those that are fitted."""
+    """Yield channels by importance: of the goal, of other objectives, of the fit."""
     goal = experiment.goal
     names = ([] if goal is None else [goal[0]]) + list(experiment.objectives)
     yield from (channel for name in names if (channel := experiment.objectives[name].channel) is not None)

@@ -1,4 +1,4 @@
-"""What is hidden from a diagnosis: effects in dry runs, under seal; and sealed cases that score it."""
+"""Sealed effects in dry runs, and sealed cases that score a diagnosis."""
 
 from labrun.blind.answer import Answer, Cause, CauseName
 from labrun.blind.diagnosis_check import Checked, Scored, check

@@ -1,4 +1,4 @@
-"""The answer that a diagnosis is scored on: three fields, whichever program gives it.
+"""The answer on which a diagnosis is scored, for labrun and other programs.
 
 `Answer` is what ``labrun gap check --tool`` reads from a program's standard output. Of labrun it is read from what
 ``labrun gap diagnose --json`` prints.
@@ -33,7 +33,7 @@ class CauseName(BaseModel):
         return cls(effect=named["effect"], site="" if is_parameter else named.get("site") or "")
 
     def has_effect_of(self, other: "CauseName") -> bool:
-        """Tell whether both are the same effect, wherever it sits, or the same parameter."""
+        """Tell whether both are the same effect at any site, or the same parameter."""
         return self.effect == other.effect and bool(self.site) == bool(other.site)
 
     def __str__(self) -> str:
@@ -88,7 +88,7 @@ class Cause(BaseModel):
 
     @property
     def closes_half(self) -> bool:
-        """Tell whether it is told to close at least half of the gap."""
+        """Tell whether the cause is stated to close at least half of the gap."""
         return self.closes is not None and self.closes >= HALF
 
     def __str__(self) -> str:
@@ -133,7 +133,7 @@ class Answer(BaseModel):
 
     @property
     def tells_rest(self) -> bool:
-        """Tell whether a part of the gap is told as unexplained."""
+        """Tell whether a part of the gap is reported as unexplained."""
         return self.rest is not None and self.rest >= UNEXPLAINED
 
     @classmethod
@@ -159,7 +159,7 @@ class Answer(BaseModel):
 
 
 def reason_of(error: ValidationError) -> str:
-    """Return what is wrong with an answer, in one line: every field with what was expected there."""
+    """Return the faults of an answer in one line, each field with what was expected."""
     faults = [
         f"{'.'.join(str(key) for key in fault['loc']) or 'the answer'}: {fault['msg'].lower()}"
         for fault in error.errors()

@@ -1,4 +1,4 @@
-"""The folder of a check: its cases, made and sealed; what was said of each as it came; the scores."""
+"""The folder of a check: sealed cases, replies, and scores."""
 
 import hashlib
 import json
@@ -31,7 +31,7 @@ _TOLD_LINES = 12
 
 @dataclass(frozen=True)
 class CheckFolder:
-    """Where a check is kept.
+    """The folder of a check.
 
     ``cases`` is all that a diagnosis sees; ``fresh`` is for what comes after it; ``sealed`` is opened last.
     """
@@ -40,11 +40,11 @@ class CheckFolder:
 
     @property
     def made(self) -> bool:
-        """Tell whether the cases are there."""
+        """Tell whether the cases exist."""
         return (self.path / _SEAL).is_file()
 
     def ask(self, asked: Mapping[str, Any]) -> str:
-        """Write down what was asked for and the seal, or check that the same was asked before; return the seal.
+        """Store the request and the seal, or check that the stored request is the same; return the seal.
 
         Raises RequestError: the folder holds another check, or its seal is no longer the one that was printed.
         """
@@ -55,7 +55,7 @@ class CheckFolder:
             if names != [f"case-{asked['first'] + number:04d}" for number in range(asked["cases"])]:
                 raise RequestError(
                     f"{self.path} holds {len(names)} cases from {names[0] if names else 'none'} on; "
-                    f"asked for are {asked['cases']} from case-{asked['first']:04d} on",
+                    f"requested are {asked['cases']} from case-{asked['first']:04d} on",
                     hint="ask for what is there, or name a new folder with --out",
                 )
             _write(path, {**asked, "seal": seal})
@@ -63,7 +63,7 @@ class CheckFolder:
         before = json.loads(path.read_text(encoding="utf-8"))
         if {key: before.get(key) for key in asked} != dict(asked):
             raise RequestError(
-                f"{self.path} holds a check of {_words(before)}; asked for is one of {_words(asked)}",
+                f"{self.path} holds a check of {_words(before)}; requested is one of {_words(asked)}",
                 hint="name a new folder with --out",
             )
         return str(before["seal"])
@@ -96,7 +96,7 @@ class CheckFolder:
         return kept if kept is not None and kept.get("programme") == programme else None
 
     def keep_reply(self, case: str, reply: Mapping[str, Any], tool: str = "") -> None:
-        """Keep the reply to a case; what its fresh trials showed of an earlier diagnosis of labrun goes."""
+        """Store the reply to a case, and remove fresh-trial results of an earlier one."""
         if not tool:
             (self.path / "shrinkage" / f"{case}.json").unlink(missing_ok=True)
         _write(self._reply_path(case, tool), reply)
@@ -106,11 +106,11 @@ class CheckFolder:
         return folder / f"{case}.json"
 
     def shown(self, case: str) -> dict[str, Any] | None:
-        """Return what the fresh trials of a case showed; None if they were not looked at yet."""
+        """Return the result of the fresh trials of a case, or None."""
         return _read(self.path / "shrinkage" / f"{case}.json")
 
     def keep_shown(self, case: str, shown: Mapping[str, Any]) -> None:
-        """Keep what the fresh trials of a case showed."""
+        """Store the result of the fresh trials of a case."""
         _write(self.path / "shrinkage" / f"{case}.json", shown)
 
     def keep_scores(self, scores: Mapping[str, Any]) -> None:
@@ -120,14 +120,14 @@ class CheckFolder:
 
 @contextmanager
 def kept_when_interrupted(folder: CheckFolder, what: str) -> Iterator[None]:
-    """Turn Ctrl-C into an error that says how to go on; `what` was finished is kept."""
+    """Turn Ctrl-C into an error that says how to continue; finished `what` are kept."""
     try:
         yield
     except KeyboardInterrupt as error:
         raise Interrupted(
             number_of(error),
             f"; every {what} that was finished is kept",
-            hint=f"the same command goes on: {folder.path}",
+            hint=f"the same command continues: {folder.path}",
         ) from None
 
 
@@ -143,7 +143,7 @@ def prepare(
     workers: int,
     note: Note,
 ) -> str:
-    """Have the cases made, unless they are there; return the line that tells the seal.
+    """Generate the cases unless they exist; return the line with the seal.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def prepare(
         return f"seal {seal_of(folder.path)}  (cases that were there, in {folder.path})"
     if folder.path.exists() and (not folder.path.is_dir() or any(folder.path.iterdir())):
         raise RequestError(
-            f"{folder.path} is there and holds something else than a check",
+            f"{folder.path} already exists and is not a check",
             hint="name a new folder with --out",
         )
     if generator is not None and not (generator / "__main__.py").is_file():
@@ -192,7 +192,7 @@ def prepare(
 
 
 def _made(command: Sequence[str], note: Note) -> str:
-    """Run the generator; return the line in which it tells the seal."""
+    """Run the generator; return its line with the seal."""
     messages: list[str] = []
     with tempfile.TemporaryFile("w+", encoding="utf-8") as file:
         process = subprocess.Popen(command, stdout=file, stderr=subprocess.PIPE, text=True, encoding="utf-8")
@@ -239,7 +239,9 @@ def open_answers(folder: Path, printed: str) -> list[dict[str, Any]]:
     try:
         salt = (sealed / "salt.txt").read_text(encoding="utf-8").strip().encode()
     except OSError as error:
-        raise LabrunError(f"the salt of the seal is gone: {error}", hint=_NOT_SCORED) from error
+        raise LabrunError(
+            f"cannot verify the seal: the salt file is missing: {error}", hint=_NOT_SCORED
+        ) from error
     sealed_bytes = {path.stem: path.read_bytes() for path in sorted(sealed.glob("case-*.json"))}
     faults += [
         f"{sealed / name}.json is in no seal" for name in sorted(sealed_bytes.keys() - seal.cases.keys())
@@ -278,7 +280,7 @@ def _stated(folder: Path) -> _Seal:
 
 
 def _stop(process: "subprocess.Popen[str]") -> None:
-    """Interrupt the generator, so that it takes its half-made folder away."""
+    """Interrupt the generator, so that it removes its incomplete folder."""
     process.send_signal(signal.SIGINT)
     try:
         process.communicate(timeout=20.0)

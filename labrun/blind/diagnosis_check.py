@@ -1,4 +1,4 @@
-"""The whole check: cases made and sealed, diagnosed, their seal opened, scored."""
+"""Run a check: generate and seal cases, diagnose them, open the seal, score."""
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -46,7 +46,7 @@ class Scored:
     scores: Scores
 
     def to_json(self) -> dict[str, Any]:
-        """Return it JSON-ready."""
+        """Return the fields JSON-ready."""
         return {
             "name": self.name,
             "command": list(self.command),
@@ -103,7 +103,7 @@ class Checked:
 
     @property
     def use(self) -> str:
-        """What the seed says about the figures, in a sentence."""
+        """Return a sentence on whether the figures of this seed may be reported."""
         if self.development:
             return f"seed {self.seed} is one of development (below {FIRST_REPORTED_SEED}): not for reporting"
         return f"seed {self.seed} is one for reporting: to be used once, with nothing tuned on it"
@@ -139,7 +139,7 @@ def check(
     note: Note = silent,
     announce: Callable[[str], None] | None = None,
 ) -> Checked:
-    """Have sealed cases made, diagnose each of them without its answer, then open the seal and score.
+    """Generate sealed cases, diagnose each without its answer, then open the seal and score.
 
     Every diagnosis is written as soon as it is there; the same call goes on where an earlier one was interrupted.
 
@@ -248,7 +248,7 @@ def kind_named(only: str) -> str:
     """Return the kind of case that a person means, in the singular. Raises RequestError: there is no such kind."""
     if only.removesuffix("s") in KINDS:
         return only.removesuffix("s")
-    raise RequestError(f"there is no kind of case {only!r}", hint=suggest(only, KINDS, kind="kinds"))
+    raise RequestError(f"unknown kind of case {only!r}", hint=suggest(only, KINDS, kind="kinds"))
 
 
 def case_seed(seed: int, case: str) -> int:

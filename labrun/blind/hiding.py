@@ -1,4 +1,4 @@
-"""What a dry run hides: chosen by the person, or drawn so that nobody knows it."""
+"""Choose what a dry run hides, as stated or at random."""
 
 import math
 import secrets

@@ -1,4 +1,4 @@
-"""What a worker does: it is handed the files it may see, and nothing else.
+"""Work of a process that sees the files of one case only.
 
 Files travel by their content, so that a worker on another machine needs no folder in common, and none can look at an
 answer.

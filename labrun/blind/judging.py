@@ -1,4 +1,4 @@
-"""One sealed case: what was hidden, what a program answered, and what became of it."""
+"""Judge one sealed case: the hidden truth, the answer, and the outcome."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -98,7 +98,7 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A case with its sealed answer, the reply, and what became of it.
+    """A case with its sealed answer, the reply, and the outcome.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class Judged:
 
 
 def judge(truth: Truth, reply: Reply, shown: Shown | None = None) -> Judged:
-    """Say what became of a case."""
+    """Judge the answer to a case."""
     answer = reply.answer
     if answer is None:
         return Judged(truth, reply, shown, "no-answer", 0, 0, 0)

@@ -1,4 +1,4 @@
-"""A dry run with something hidden, never what is stored; and a few trials of it, to see what that would change."""
+"""Simulate a few trials with a hidden effect, to see what it would change."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ class HidingScene(Scene, Protocol):
 
     @property
     def places(self) -> Sequence[Site]:
-        """Where it can hide them: the joints that are driven, the bodies, the signals."""
+        """Sites of the scene: driven joints, bodies, signals."""
         ...
 
 
@@ -38,7 +38,7 @@ def concealed(
     noise: float | None = None,
     parameters: Mapping[str, float] | None = None,
 ) -> Experiment:
-    """Return an experiment whose scene is what its model says, but for what it hides.
+    """Return an experiment whose scene equals its model plus the hidden effects.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def hiding_scene(experiment: Experiment) -> HidingScene:
 def _named_scene(experiment: Experiment) -> SceneTable:
     if experiment.rig.scene is None:
         raise RequestError(
-            "there is no simulated bench to hide an effect in",
+            "no simulated bench to hide an effect in",
             hint='name one: [rig] scene = "..."; the plain one has no physics',
         )
     return experiment.rig.scene
@@ -225,7 +225,7 @@ class Rehearsal:
         return self._largest(_left(self._whitened(_difference(signals, plain)), slopes))
 
     def apart(self, hidden: Mapping[str, Any], other: Mapping[str, Any]) -> float:
-        """Return how large an effect shows once another one, however strong, has explained what it can."""
+        """Return the size of an effect after another one of any strength is projected out."""
         try:
             signals, others = self._signals_with([hidden]), self._signals_with([other])
         except ExperimentError:  # the bench blew up: they differ
@@ -372,7 +372,7 @@ def _is_free(motion: TrialMotion) -> bool:
 
 
 def _bound(rig: Rig, unit: str) -> float:
-    """Return the greatest size of a signal of a unit that a device lets pass."""
+    """Return the largest value of a signal that the limits of the devices allow."""
     bounds = ({"N": limit.force_n, "N m": limit.torque_n_m}.get(unit) for limit in rig.limits.values())
     return max((bound for bound in bounds if bound is not None), default=math.inf)
 
@@ -382,7 +382,7 @@ def _difference(signals: Sequence[FloatArray], plain: Sequence[FloatArray]) -> l
 
 
 def _later(conditions: Sequence[FloatArray], samples: FloatArray) -> list[FloatArray]:
-    """Return the signals of each condition so many samples later; beyond their ends they stay as they are."""
+    """Return the signals of each condition shifted by so many samples, held at their ends."""
     later = []
     for signals, by in zip(conditions, samples, strict=True):
         count = np.arange(len(signals))
@@ -391,7 +391,7 @@ def _later(conditions: Sequence[FloatArray], samples: FloatArray) -> list[FloatA
 
 
 def _left(white: FloatArray, slopes: FloatArray) -> FloatArray:
-    """Return what the columns cannot imitate."""
+    """Return the part orthogonal to the columns."""
     remainder: FloatArray = white - slopes @ np.linalg.lstsq(slopes, white, rcond=1e-8)[0]
     return remainder
 

@@ -16,7 +16,7 @@ _TENTHS = 10
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """So many hits of so many."""
+    """A number of hits out of a total."""
 
     hits: int
     of: int
@@ -43,7 +43,7 @@ class Share:
         return float(interval.low), float(interval.high)
 
     def to_json(self) -> dict[str, Any]:
-        """Return it JSON-ready."""
+        """Return the fields JSON-ready."""
         interval = self.ci95
         return {
             "share": self.value,
@@ -106,7 +106,7 @@ class Reliability:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return it JSON-ready."""
+        """Return the fields JSON-ready."""
         return {
             "expected_calibration_error": self.error,
             "by_chance": self.error_by_chance,
@@ -157,7 +157,7 @@ class ShareScore:
         return median(map(abs, self.differences.values())) if self.differences else None
 
     def to_json(self) -> dict[str, Any]:
-        """Return it JSON-ready."""
+        """Return the fields JSON-ready."""
         return {
             "median_difference": self.median_difference,
             "covered_by_ci90": self.covered.to_json(),
@@ -236,7 +236,7 @@ class Scores:
         return self.false_causes / answered if answered else None
 
     def to_json(self) -> dict[str, Any]:
-        """Return them JSON-ready."""
+        """Return the fields JSON-ready."""
         return {
             "cases": self.cases,
             "kinds": dict(self.kinds),
@@ -334,7 +334,7 @@ def reliability(stated: Sequence[tuple[float, bool]]) -> Reliability:
     sorted_in: list[list[tuple[float, bool]]] = [[] for _ in range(_TENTHS)]
     for confidence, right in stated:
         if not 0.0 <= confidence <= 1.0:
-            raise ValueError(f"a confidence of {confidence} is no probability")
+            raise ValueError(f"a confidence of {confidence} is not a probability")
         sorted_in[min(int(confidence * _TENTHS), _TENTHS - 1)].append((confidence, right))
     return Reliability(
         tuple(

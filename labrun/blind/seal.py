@@ -90,7 +90,7 @@ class Seal:
 
 
 def write_seal(run: Path, seal: Seal) -> None:
-    """Put a seal into a run folder.
+    """Write a seal into a run folder.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def read_seal(run: Path, provenance: Mapping[str, Any]) -> Seal:
 
 
 def redacted(command: Sequence[str]) -> list[str]:
-    """Return a command line without what it says of the hidden."""
+    """Return a command line without the hidden effects."""
     kept: list[str] = []
     for word in command:
         if kept and kept[-1] in _TELLING:
@@ -176,7 +176,7 @@ def _now() -> str:
 def _broken(what: str) -> RecordingError:
     return RecordingError(
         f"the seal is broken: {what}",
-        hint="what this run hides can no longer be told for certain; make a new one",
+        hint="what this run hides is no longer certain; make a new run",
     )
 
 
@@ -212,7 +212,7 @@ class Hidden:
 
 @dataclass(frozen=True, slots=True)
 class Revealed:
-    """What a seal held; the hash held, or there would be no such object.
+    """The contents of a seal whose hash was verified.
 
     Attributes
     ----------
@@ -235,7 +235,7 @@ class Revealed:
     opened_before: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Return it JSON-ready."""
+        """Return the fields JSON-ready."""
         return {
             "run": str(self.run),
             "hidden": [
@@ -313,7 +313,7 @@ def reveal(run: Path) -> Revealed:
     folder = run.parent if run.is_file() else run
     if not (folder / PROVENANCE).is_file():
         raise RecordingError(
-            f"{run} is no run folder: it has no {PROVENANCE}", hint="labrun list shows the runs there are"
+            f"{run} is not a run folder: it lacks {PROVENANCE}", hint="labrun list shows the runs there are"
         )
     seal = read_seal(folder, RunFolder(folder).provenance)
     hidden = tuple(_hidden(effect) for effect in seal.hidden())

@@ -1,4 +1,4 @@
-"""Another program in place of labrun's diagnosis: it is handed a case's folder and prints its answer as JSON."""
+"""Run another program as a diagnosis: it gets the folder of a case and prints JSON."""
 
 import hashlib
 import json

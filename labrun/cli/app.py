@@ -12,7 +12,7 @@ from labrun.cli.output import reported
 
 
 class _Commands(TyperGroup):
-    """All commands; what was typed wrong is told without the library's own words.
+    """The command group; usage errors are reported without the library's wording.
 
     A signal is told from the beginning to the end; a command at work says itself what that means there.
     """

@@ -1,4 +1,4 @@
-"""`labrun gap check` and `labrun gap reveal`: what was sealed, and how often the diagnosis finds it."""
+"""`labrun gap check` and `labrun gap reveal`: score the diagnosis on sealed effects."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -77,7 +77,7 @@ def export(
         from labrun.report import interval_text
 
         slope = interval_text(item.slope_per_h, item.ci95, f"{item.unit}/h")
-        doubt = "" if item.visible else ", which cannot be told from none"
+        doubt = "" if item.visible else ", which is not distinguishable from zero"
         typer.echo(f"{item.objective}: removed {slope} by {item.trials} reference trials{doubt}")
     typer.echo(f"wrote {written}")
 

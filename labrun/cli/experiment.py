@@ -123,7 +123,7 @@ def design(
     seed: options.Seed = None,
     limit: Annotated[
         int | None,
-        typer.Option(min=1, help="Stop once so many candidates are simulated; `labrun resume` goes on."),
+        typer.Option(min=1, help="Stop after this many simulated candidates; `labrun resume` continues."),
     ] = None,
     workers: options.Workers = None,
     cluster: options.Cluster = None,
@@ -220,7 +220,7 @@ def watch(
 
 
 def progress_display() -> "Progress":
-    """Return what tells a person on standard error how a run goes."""
+    """Return the progress display of a run on standard error."""
     if to_terminal():
         from labrun.report import LiveProgress
 

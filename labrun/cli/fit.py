@@ -1,4 +1,4 @@
-"""Data and what is held against them: `labrun fit`, `compare` and `rank`."""
+"""`labrun fit`, `compare` and `rank`."""
 
 from typing import Annotated
 

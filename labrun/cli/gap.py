@@ -293,7 +293,7 @@ def compare(
     results: options.Results = options.RESULTS,
     as_json: options.Json = False,
 ) -> None:
-    """Say which parameter or effect differs between two units, days or gains beyond noise, and which does not.
+    """Find the parameters and effects that differ between two data sets beyond noise.
 
     Example:  labrun gap compare recordings/arm-3 recordings/arm-7 --model corrected.toml
     """

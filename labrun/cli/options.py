@@ -65,7 +65,7 @@ Seed = Annotated[
     int | None, typer.Option(min=0, help="Seed of all randomness; drawn and stored if not given.")
 ]
 Limit = Annotated[
-    int | None, typer.Option(min=1, help="Stop after this many trials; `labrun resume` goes on.")
+    int | None, typer.Option(min=1, help="Stop after this many trials; `labrun resume` continues.")
 ]
 Hide = Annotated[
     list[str] | None,
@@ -172,7 +172,7 @@ def log_answers(
     rate: Rate = None,
     repair: Repair = False,
 ) -> "LogAnswers":
-    """Return what was said of a log on the command line; these are the options of every command that reads one."""
+    """Return the answers about a log from the command line options."""
     from labrun.app.logs import LogAnswers
 
     return LogAnswers(

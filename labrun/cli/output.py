@@ -68,7 +68,7 @@ def to_terminal() -> bool:
 
 @contextmanager
 def status() -> Iterator[Callable[[str], None]]:
-    """Give what is called with every new step; the line also tells how long it has taken so far."""
+    """Yield a function that prints each new step with the elapsed time."""
     if not to_terminal():
         yield lambda _: None
         return

@@ -30,7 +30,7 @@ class _Output(io.FileIO):
 
 
 class _Messages(io.FileIO):
-    """Standard error. Nobody can be told that it fails, and no run ends because nobody reads its messages."""
+    """Standard error; its failures are ignored, so that no run ends because of them."""
 
     def write(self, data: Any) -> int:
         try:

@@ -1,4 +1,4 @@
-"""What there is to work with: `labrun init`, `list`, `keys`, `new`, `plugins`, `doctor`."""
+"""Workspace commands: `labrun init`, `list`, `keys`, `new`, `plugins`, `doctor`."""
 
 from enum import StrEnum
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Closed loops: references, feedbacks and controllers, and what runs them in a trial."""
+"""Closed loops: references, feedbacks, controllers, and their execution in a trial."""
 
 from labrun.control.closed_loop import ClosedLoopRecorder
 from labrun.control.pid import FeedforwardPid, PidController

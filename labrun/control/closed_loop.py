@@ -186,7 +186,7 @@ class Timing:
 
 @dataclass
 class _Clockwork:
-    """The steps of one trial: when each is due, and what becomes of those that are late."""
+    """The schedule of the steps of one trial, with late and skipped steps."""
 
     start_s: float
     period_s: float

@@ -1,4 +1,4 @@
-"""Feedbacks: what a loop sees of the sensors, from one channel, from two, or from an orientation."""
+"""Feedbacks from one channel, from two, or from an orientation."""
 
 import math
 from abc import ABC, abstractmethod
@@ -78,11 +78,11 @@ class ChannelFeedback(ABC):
 
     @abstractmethod
     def memory_s(self, period_s: float | None) -> float:
-        """Return over how long the mean goes, s; 0 takes the newest sample."""
+        """Return the length of the mean, s; 0 takes the newest sample."""
 
 
 def _unit_and_factor(keys: FeedbackSettings, channel_unit: str) -> tuple[str, float]:
-    """Return the feedback's unit, and what a sample is multiplied by to be in it."""
+    """Return the unit of the feedback and the factor that converts a sample."""
     unit, factor = channel_unit, 1.0
     if keys.divide_by_m is not None:
         unit = unit.removesuffix(" m") if unit.endswith(" m") else f"{unit}/m"
@@ -98,7 +98,7 @@ def _unit_and_factor(keys: FeedbackSettings, channel_unit: str) -> tuple[str, fl
             else [name for name, item in sizes.items() if item.dimension == given.dimension]
         )
         raise SpecError(
-            f'unit = "{keys.unit}" is no unit of {keys.channel}, which comes in {unit or "a unit of its own"}',
+            f'unit = "{keys.unit}" is not a unit of {keys.channel}, which comes in {unit or "a unit of its own"}',
             hint=f"it can be {', '.join(alike)}" if alike else "leave unit out, and use scale",
         )
     return keys.unit, factor * given.si / wanted.si
@@ -144,7 +144,7 @@ class MovingAverageSettings(FeedbackSettings):
 
 
 class MovingAverageFeedback(ChannelFeedback):
-    """Mean over the last `window_s`; until so much is there, of what there is. It lags by half of its window."""
+    """Mean over the last `window_s`, or over what exists at first; it lags by half of its window."""
 
     Settings: ClassVar[type[FeedbackSettings]] = MovingAverageSettings
     _keys: MovingAverageSettings
@@ -161,7 +161,7 @@ class CycleAverageSettings(FeedbackSettings):
 
 
 class CycleAverageFeedback(ChannelFeedback):
-    """Mean over exactly the last whole gait cycle (source, section 5.1): what a fin does to and fro cancels.
+    """Mean over the last gait cycle (source, section 5.1), which cancels periodic forces.
 
     Before one cycle is over, the mean of what there is. It lags by half a cycle.
     """
@@ -223,7 +223,7 @@ class OrientationFeedback:
         if missing:
             bodies = [unit.removesuffix("_qw") for unit in units if unit.endswith("_qw")]
             raise SpecError(
-                f"nothing tells the orientation of {body}: there is no channel {missing[0]}",
+                f"nothing tells the orientation of {body}: it has no channel {missing[0]}",
                 hint=f"body is the tracker and one of its bodies; {suggest(body, bodies, kind='tracked bodies')}",
             )
 
@@ -250,7 +250,7 @@ def unit_quaternion(w: float, x: float, y: float, z: float, *, body: str) -> Num
     length = (w * w + x * x + y * y + z * z) ** 0.5
     if not length > _LEAST:
         raise ExperimentError(
-            f"the tracker lost the body {body}: ({w:g}, {x:g}, {y:g}, {z:g}) is no orientation",
+            f"the tracker lost the body {body}: ({w:g}, {x:g}, {y:g}, {z:g}) is not an orientation",
             hint="let it be seen again, then labrun resume",
         )
     length = -length if w < 0.0 else length

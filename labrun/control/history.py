@@ -1,4 +1,4 @@
-"""The latest samples of the channels that loops look at, tared, on one clock."""
+"""The latest samples of the channels that loops use, tared, on one clock."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -59,7 +59,7 @@ class _Track:
         return self.last_s, float(self._values[row, self._end - 1])
 
     def _make_room(self, count: int) -> None:
-        """Forget what is no longer needed; grow if all of it is."""
+        """Drop old samples, or grow if all are needed."""
         oldest = int(np.searchsorted(self._time_s[: self._end], self.last_s - self._keep_s)) - 1
         first = min(max(self._first, oldest), self._end)
         kept = self._end - first
@@ -108,7 +108,7 @@ class History:
         }
 
     def take(self, blocks: Mapping[str, Samples]) -> None:
-        """Take in one look's samples."""
+        """Append new samples of each device."""
         for device, track in self._tracks.items():
             block = blocks.get(device)
             if block is not None and len(block):

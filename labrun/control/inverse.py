@@ -1,4 +1,4 @@
-"""Open loop: what an analytic inverse of the mechanism says to the reference."""
+"""Open-loop control by an analytic inverse of the mechanism."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar

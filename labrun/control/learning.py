@@ -1,4 +1,4 @@
-"""Learning beside a loop: samples go to a learner, weights come back; in a process of its own on a bench."""
+"""Train a network while its loop runs, in a separate process on a bench."""
 
 import contextlib
 import math
@@ -43,7 +43,7 @@ class LearnerTask:
             return self.network.collapsed()
         except ValueError as error:
             raise ExperimentError(
-                f"beside a loop only affine networks are trained: {error}",
+                f"only affine networks can be trained during a loop: {error}",
                 hint='fit it with activation = "identity"',
             ) from error
 
@@ -77,7 +77,7 @@ class Learner(ABC):
         """Start; return at once."""
 
     def ready(self) -> bool:
-        """Tell whether it has come up. Raises ExperimentError: it never will."""
+        """Tell whether the learner is ready. Raises ExperimentError: it failed to start."""
         return True
 
     def end(self) -> None:  # noqa: B027
@@ -89,7 +89,7 @@ class Learner(ABC):
 
     @abstractmethod
     def newest(self, now_s: float) -> Network | None:
-        """Return weights that came since the last call."""
+        """Return new weights since the last call, if any."""
 
     def _accepted(self, network: Network) -> Network | None:
         if network.finite:
@@ -138,7 +138,7 @@ class InlineLearner(Learner):
 
 
 class ProcessLearner(Learner):
-    """Learns in a process of its own; samples and weights go through shared memory, and nobody waits for the other.
+    """Learns in a separate process; samples and weights are exchanged through shared memory without waiting.
 
     A loop whose learner dies goes on with the weights it has.
     """
@@ -167,21 +167,21 @@ class ProcessLearner(Learner):
         self._until_s = time.monotonic() + _READY_S
 
     def ready(self) -> bool:
-        """Tell whether the process has come up; see `Learner.ready`."""
+        """Tell whether the process is ready; see `Learner.ready`."""
         if self._view is None or self._view.all[_READY]:
             return True
         if not self._process.is_alive():
             how = _how_it_ended(self._process.exitcode)
             self.end()
             raise ExperimentError(
-                f"the process that learns beside the loop ended before it had come up ({how})",
+                f"the learning process ended before it started ({how})",
                 hint="the loop was not closed yet; what the process wrote, if anything, stands above",
             )
         if time.monotonic() > self._until_s:
             self.end()
             raise ExperimentError(
-                f"the process that learns beside the loop did not come up within {_READY_S:g} s",
-                hint="the loop was not closed yet; close programs that keep this computer busy, then go on",
+                f"the learning process did not start within {_READY_S:g} s",
+                hint="the loop was not closed yet; close programs that keep this computer busy, then try again",
             )
         return False
 
@@ -217,7 +217,7 @@ class ProcessLearner(Learner):
         self._view.all[_GIVEN] = self._given
 
     def newest(self, now_s: float) -> Network | None:
-        """Return the weights that came since."""
+        """Return new weights, if any."""
         view = self._view
         if view is None or not self.alive:
             return None

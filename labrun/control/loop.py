@@ -1,4 +1,4 @@
-"""One loop during one trial: what it reads, what it wants, what it gets."""
+"""One loop during one trial: feedback, reference, output."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -70,11 +70,11 @@ class Loop:
         self._seen = tuple(getattr(self.controller, "channels", ()))
 
     def begin(self) -> None:
-        """Start what the controller keeps running beside the loop."""
+        """Start what the controller runs in parallel."""
         getattr(self.controller, "begin", lambda: None)()
 
     def ready(self) -> bool:
-        """Tell whether that has come up."""
+        """Tell whether the controller is ready."""
         return bool(getattr(self.controller, "ready", lambda: True)())
 
     def end(self) -> None:
@@ -82,7 +82,7 @@ class Loop:
         getattr(self.controller, "end", lambda: None)()
 
     def remarks(self) -> list[str]:
-        """Return what to tell the person of this trial."""
+        """Return remarks on this trial."""
         return [f"loop {self.name}: {text}" for text in getattr(self.controller, "remarks", list)()]
 
     def step(self, time_s: float, dt_s: float, drives: Mapping[str, float], history: History) -> LoopRecord:

@@ -94,7 +94,7 @@ def make_controllers(
 
 
 class OneForEach:
-    """A controller of one number for each component of a loop."""
+    """One scalar controller per component of a loop."""
 
     def __init__(self, controllers: Sequence[Controller]) -> None:
         self.controllers = controllers
@@ -115,7 +115,7 @@ class OneForEach:
 
 
 def _part(step: VectorStep, number: int) -> Step:
-    """Return what a step is to the controller of one component."""
+    """Return the step of one component."""
     return Step(
         step.time_s,
         step.dt_s,

@@ -1,4 +1,4 @@
-"""A learned model in charge of a loop, from a file, and trained on beside the loop if the file asks for it."""
+"""A learned model as controller, optionally trained while the loop runs."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -57,7 +57,7 @@ class NetworkSettings(Table):
 
 
 class NetworkController:
-    """What a network says to the reference, on top of an analytic inverse where it was fitted to correct one.
+    """Control by a network, added to an analytic inverse if it was fitted to correct one.
 
     The reference's components are the network's inputs, by name; the loop's drives its outputs. `settings`: see
     `NetworkSettings`. `context`: of the loop, whose names, units and bench must be those of the model. Raises
@@ -107,7 +107,7 @@ class NetworkController:
             self.learning.learner.begin()
 
     def ready(self) -> bool:
-        """Tell whether the learning has come up."""
+        """Tell whether the learner is ready."""
         return self.learning is None or self.learning.learner.ready()
 
     def end(self) -> None:
@@ -116,11 +116,11 @@ class NetworkController:
             self.learning.learner.end()
 
     def remarks(self) -> list[str]:
-        """Return what became of the learning, if it did not go as it should."""
+        """Return remarks on the learner, if it failed."""
         return [] if self.learning is None else list(self.learning.learner.remarks)
 
     def update(self, step: VectorStep) -> Numbers:
-        """Return what the network says to the reference."""
+        """Return the output of the network for the reference."""
         if self.learning is not None:
             newest = self.learning.take(step)
             if newest is not None:
@@ -176,7 +176,7 @@ class _Learning:
         self._now_s = 0.0
 
     def take(self, step: VectorStep) -> Network | None:
-        """Hand over a sample, and return new weights if there are any."""
+        """Pass a sample to the learner, and return new weights if any."""
         self._now_s = step.time_s
         self._recent.append(
             (

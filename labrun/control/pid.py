@@ -91,7 +91,7 @@ class PidController:
         return self._requested
 
     def applied(self, drive: float) -> None:
-        """Take note of what the variable was given."""
+        """Record the value that the variable was given."""
         if self.keys.anti_windup == "back-calculation" and self.keys.i:
             share = min(1.0, self._dt_s / self.tracking_s)
             self._integral += share * (drive - self._requested)
@@ -110,13 +110,13 @@ class PidController:
 
 
 def _integral_time_s(keys: PidSettings, period_s: float) -> float:
-    """Return p/i in seconds; one period where there is no such ratio."""
+    """Return p/i in seconds, or one period if the ratio is undefined."""
     per_second = abs(keys.i) if keys.i_per == "second" else abs(keys.i) / period_s
     return max(period_s, abs(keys.p) / per_second) if per_second else period_s
 
 
 def _form_of_model(model: object) -> str:
-    """Tell the two forms apart, so that an error is about the one that was meant."""
+    """Select the form of the model, so that errors refer to it."""
     return "file" if isinstance(model, str) else "table"
 
 
@@ -149,7 +149,7 @@ class FeedforwardSettings(PidSettings):
 
 
 class FeedforwardPid(PidController):
-    """The reference over the model's static gain, plus a PID on what is left (source, Fig. 5.9 b).
+    """The reference over the model's static gain, plus a PID on the error (source, Fig. 5.9 b).
 
     Parameters
     ----------

@@ -73,7 +73,7 @@ class PlantModel(TransferTable):
 
 
 def read_plant(path: Path, response: str | None = None) -> dict[str, Any]:
-    """Return the keys of a `PlantModel` from a fitted model's file; whatever else stands there is left.
+    """Return the keys of a `PlantModel` from the file of a fitted model.
 
     `path`: a TOML file with these keys, or with a table of them for each response, as the fits write it. `response`:
     which table; not needed where there is one. Raises SpecError: the file cannot be read, holds no such model, or
@@ -93,7 +93,7 @@ def read_plant(path: Path, response: str | None = None) -> dict[str, Any]:
 def response_table(
     data: Mapping[str, Any], file: str, response: str | None
 ) -> tuple[Mapping[str, Any], KeyPath]:
-    """Return the table of a file that holds a response's transfer function, and where it stands.
+    """Return the table with the transfer function of a response, and its path in the file.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def response_table(
     tables = {key: table for key, table in data.items() if isinstance(table, dict) and _is_model(table)}
     if not tables:
         raise SpecError(
-            f"{file} has neither gain nor numerator: it is no fitted response",
+            f"{file} has neither gain nor numerator: it is not a fitted response",
             hint="labrun fit fin-step --model fopdt writes one",
         )
     if response is None and len(tables) > 1:

@@ -74,7 +74,7 @@ class FeedbackPlugin(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What a controller sees at one step of its loop.
+    """Input of a controller at one step of its loop.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ Numbers = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class VectorStep:
-    """What a controller of a whole loop sees at one step; as `Step`, with a number for each component or drive.
+    """Input of a controller with several components; as `Step`, with tuples.
 
     Attributes
     ----------
@@ -165,14 +165,14 @@ class LoopContext:
 
 
 class Controller(Protocol):
-    """Sets a variable of the gait, step by step. Made anew for every trial, with nothing left of the one before."""
+    """Sets a variable of the gait at every step; created anew for every trial."""
 
     def update(self, step: Step) -> float:
         """Return the value it wants the variable to have."""
         ...
 
     def applied(self, drive: float) -> None:
-        """Be told the value that the variable is given, after range and slew, so that no integral winds up."""
+        """Receive the value after clipping to range and slew rate, for anti-windup."""
         ...
 
 
@@ -190,7 +190,7 @@ class VectorController(Protocol):
         ...
 
     def applied(self, drives: Numbers) -> None:
-        """Be told the values that they are given, after range and slew."""
+        """Receive the values after clipping to range and slew rate."""
         ...
 
 

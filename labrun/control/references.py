@@ -1,4 +1,4 @@
-"""References: what a loop's feedback should be over time."""
+"""References: the set-point of a loop over time."""
 
 import csv
 import math
@@ -145,7 +145,7 @@ class FormulaSettings(Table):
 
 
 class FormulaReference:
-    """A formula in ``t``, for what has no name of its own."""
+    """A formula in ``t``."""
 
     Settings: ClassVar[type[Table]] = FormulaSettings
     names: ClassVar[tuple[str, ...]] = ("t",)

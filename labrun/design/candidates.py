@@ -1,4 +1,4 @@
-"""What a search asks about candidates, answered by simulations that run beside each other; and copies as built."""
+"""Simulate candidates of a search in parallel, and perturbed copies of the winner."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,12 +21,12 @@ _COPY_STREAM = 0xC0B
 
 
 class SimulationLimitError(LabrunError):
-    """As many candidates are simulated as were asked for; the run goes on later."""
+    """The requested number of candidates has been simulated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What is kept of a candidate: the number that the search is for, and what it violates."""
+    """The stored objective and violations of a candidate."""
 
     value: float | None
     violations: Violations
@@ -150,7 +150,7 @@ class Candidates:
         ]
 
     def _built(self, condition: Condition, index: int) -> Condition:
-        """Return a candidate as it may be built: every dimension evenly within its tolerance."""
+        """Return a candidate with every dimension drawn uniformly within its tolerance."""
         rng = np.random.default_rng(np.random.SeedSequence((self._seed, _COPY_STREAM, index)))
         off = {
             name: tolerance * rng.uniform(-1, 1)
@@ -219,6 +219,6 @@ def _job(simulator: Simulator, candidates: list[Condition], keep: bool) -> list[
 
 
 def _read(record: Mapping[str, Any]) -> Known:
-    """Take back what a generation keeps of a candidate."""
+    """Read a stored candidate."""
     texts = tuple(record["violations"])
     return Known(record["value"], Violations(len(texts), float(record["violated_by"]), texts))

@@ -1,4 +1,4 @@
-"""What a design has to keep to: constraints on its variables, known beforehand, and on what its simulation does."""
+"""Constraints of a design, on its variables and on its simulation."""
 
 import ast
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ through, holds the design back: next to a bound of 0 shares of the sides say not
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """A constraint as a design stands to it.
+    """The margin of a design to a constraint.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Margin:
 
     @property
     def active(self) -> bool:
-        """Tell whether the design stands at it."""
+        """Tell whether the constraint is active."""
         if self.value is None or self.bound is None:
             return False
         return abs(self.value - self.bound) <= _ACTIVE * max(abs(self.value), abs(self.bound), self.span)
@@ -62,7 +62,7 @@ class DesignConstraints:
 
     @staticmethod
     def violations(of: list[Constraint], names: Mapping[str, object]) -> Violations:
-        """Return what is violated: how many, and how far in shares of the bounds.
+        """Return the number of violated constraints and their relative violation.
 
         Raises ConstraintError: one of them cannot be computed.
         """
@@ -76,7 +76,7 @@ class DesignConstraints:
         return Violations(len(sizes), float(sum(sizes)), tuple(texts))
 
     def margins(self, names: Mapping[str, object], spans: Mapping[str, float]) -> list[Margin]:
-        """Return how a simulated design stands to every constraint, in the order of the file.
+        """Return the margin to every constraint, in the order of the file.
 
         `spans`: range that every summarised channel runs through.
         """
@@ -104,7 +104,7 @@ def summary(kind: str, values: FloatArray) -> float:
             return float(values[-1])
         case "peak":
             return float(np.abs(values).max())
-    raise ValueError(f"there is no summary {kind!r}")
+    raise ValueError(f"unknown summary {kind!r}")
 
 
 def _sides(text: str, names: Mapping[str, object]) -> tuple[float, float] | None:

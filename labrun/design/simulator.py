@@ -26,7 +26,7 @@ _REASONS = 3
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """What came of one candidate.
+    """The simulation result of one candidate.
 
     Attributes
     ----------
@@ -204,7 +204,7 @@ class _Parts:
             joint = design.signals.get(signal.name, signal.name).removeprefix("command.")
             if joint not in joints:
                 raise SpecError(
-                    f"the model's input {signal.name} is no joint of the gait",
+                    f"the model's input {signal.name} is not a joint of the gait",
                     hint=f"name a joint after it, or write design.signals.{signal.name} = "
                     f'"command.JOINT"; the gait has {", ".join(joints) or "none"}',
                 )

@@ -33,20 +33,20 @@ class Faults:
             self._values[name] = value
 
     def active(self, name: str) -> bool:
-        """Tell whether a fault is there; does not count it down."""
+        """Tell whether a fault is active, without counting it down."""
         return name in self._values
 
     def value(self, name: str) -> Any:
-        """Return a fault's value; None if it is not there."""
+        """Return the value of a fault, or None."""
         return self._values.get(name)
 
     def number(self, name: str) -> float:
-        """Return a fault's value as a number: 0 if it is not there, 1 if it is there without a number."""
+        """Return the value of a fault as a number: 0 if inactive, 1 if it has no number."""
         value = self._values.get(name, 0.0)
         return 1.0 if value is True else float(value)
 
     def take(self, name: str) -> bool:
-        """Tell whether a fault strikes now, and count it down; one set to True strikes for ever."""
+        """Tell whether a fault occurs now, and count it down; one set to True occurs always."""
         value = self._values.get(name)
         if value is None:
             return False
@@ -60,7 +60,7 @@ class Faults:
 
 
 class EmulatorLog:
-    """The witness: one JSON line an event, with the time of the machine's monotonic clock.
+    """The log of an emulator: one JSON line per event, on the monotonic clock.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class EmulatorLog:
             os.write(self._file, json.dumps(line, default=_plain).encode() + b"\n")
 
     def move(self, path: Path) -> None:
-        """Go on in another file, which gets what was written so far."""
+        """Continue in another file, which receives what was written so far."""
         if self._path is None or self._file is None:
             return
         file = os.open(path, _APPEND, 0o644)

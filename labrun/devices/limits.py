@@ -23,7 +23,7 @@ Temperature = Annotated[float, Field(gt=0, le=200)]
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """A limit that something leaves: what, by how much, in the unit the person typed."""
+    """A limit violation: what, and by how much, in the unit of the file."""
 
     quantity: str
     value: float
@@ -39,7 +39,7 @@ class Excess:
 
 
 class Limits(BaseModel):
-    """What a device may be asked to do, and what it may feel. An absent limit is not checked."""
+    """Limits on commands and measurements of a device; an absent limit is not checked."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -59,7 +59,7 @@ class Limits(BaseModel):
         return pair
 
     def trajectory_excess(self, trajectory: Trajectory) -> Iterator[Excess]:
-        """Yield what a motion would break: one item per joint and limit, at its worst moment."""
+        """Yield the limit violations of a motion: one per joint and limit, at its worst moment."""
         if self._inside(trajectory):
             return
         for joint, angle_rad in zip(trajectory.joints, trajectory.angle_rad.T, strict=True):
@@ -98,7 +98,7 @@ class Limits(BaseModel):
     def sample_excess(
         self, channels: tuple[Channel, ...], time_s: FloatArray, values: FloatArray
     ) -> Iterator[Excess]:
-        """Yield what samples of a sensor break: forces and torques by their unit, at their worst sample."""
+        """Yield the limit violations of samples: forces and torques by unit, at their worst sample."""
         if len(values) == 0:
             return
         bounds = {"N": self.force_n, "N m": self.torque_n_m, "degC": self.temperature_c}
@@ -108,7 +108,7 @@ class Limits(BaseModel):
                 yield from _outside(channel.name, column, (-bound, bound), channel.unit, time_s)
 
     def travel_excess(self, to_m: float, speed_m_s: float) -> Iterator[Excess]:
-        """Yield what a carriage move would break."""
+        """Yield the limit violations of a carriage move."""
         if self.travel_m is not None:
             yield from _outside("travel", np.array([to_m]), self.travel_m, "m", np.zeros(1))
         if self.speed_m_s is not None:

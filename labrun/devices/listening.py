@@ -1,4 +1,4 @@
-"""A thread that hears a device, and where it keeps what it heard."""
+"""A thread that receives samples of a device, and its buffer."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -160,7 +160,7 @@ class Listener:
             raise self._failure
 
     def deliver(self, buffer: SampleBuffer) -> Samples:
-        """Return what has been heard; raise what `receive` raised only once all that came before it has been returned.
+        """Return received samples; an error of `receive` is raised after all samples before it.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class Listener:
 
 
 class ListeningSensor:
-    """A sensor whose samples a thread of its own hears: what is the same for all of them.
+    """Base of sensors whose samples a thread receives.
 
     A driver extends it with `open`, `start` (which ends with `_listen`), `stop` (which begins with `_hear_no_more`) and
     `close`.
@@ -214,18 +214,18 @@ class ListeningSensor:
         """Do nothing: a sensor moves nothing, and its data are wanted to the end."""
 
     def _listen(self, receive: Callable[[], None]) -> None:
-        """Hear what comes from now on; what came before is dropped. `receive`: as of `Listener`."""
+        """Start receiving; earlier bytes are dropped. `receive`: as of `Listener`."""
         self._buffer.clear()
         self._listener = Listener(self.name, receive)
         self._listener.start()
 
     def _check(self) -> None:
-        """Raise what ended the stream, if something did."""
+        """Raise the error that ended the stream, if any."""
         if self._listener is not None:
             self._listener.check()
 
     def _hear_no_more(self) -> bool:
-        """End the thread; tell whether there was one. Never raises."""
+        """End the thread; return whether it was running. Never raises."""
         listener, self._listener = self._listener, None
         if listener is not None:
             listener.stop()

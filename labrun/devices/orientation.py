@@ -158,7 +158,7 @@ class OrientationAngles:
 def unknown_bodies(
     bodies: Sequence[str], hinges: Mapping[str, HingeAngle], eulers: Mapping[str, EulerAngles]
 ) -> list[str]:
-    """Return a sentence for every body that is asked for and not tracked."""
+    """Return a message for every requested body that is not tracked."""
     asked = [(name, body) for name, hinge in hinges.items() for body in (hinge.from_body, hinge.to_body)]
     asked += [(name, body) for name, angles in eulers.items() for body in (angles.from_body, angles.body)]
     return [

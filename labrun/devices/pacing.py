@@ -115,7 +115,7 @@ class CommandStream:
         self._changed.set()
 
     def halt(self) -> None:
-        """Send nothing more; any thread, at once, never raises. `idle` goes on."""
+        """Stop sending at once, from any thread; never raises. `idle` continues."""
         # No lock: a set-point being sent at this moment may hold it, and a stop cannot wait for that.
         self._motion = None
         self._changed.set()

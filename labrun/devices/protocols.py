@@ -1,4 +1,4 @@
-"""What a device is: small structural protocols, one per capability; how its plugin is made; the scene of a dry run."""
+"""Structural protocols of devices, one per capability; of their plugins; and of scenes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -99,7 +99,7 @@ Part = TypeVar("Part")
 
 
 def opened(device: str, part: Part | None) -> Part:
-    """Return what a device has while it is open: a connection, or what it said.
+    """Return an attribute of an open device. Raises DeviceError: it is None.
 
     Raises DeviceError: it is None, or False where a device only notes whether it is open.
     """
@@ -126,7 +126,7 @@ class Device(Protocol):
         ...
 
     def identify(self) -> Identity:
-        """Ask the device what it is."""
+        """Return the identity of the device."""
         ...
 
     def health(self) -> Health:
@@ -149,7 +149,7 @@ class Actuator(Device, Protocol):
     joints: tuple[str, ...]
 
     def pose(self) -> Mapping[str, float]:
-        """Where each joint is, rad: measured if the device can, else where its command stands now."""
+        """Return the angle of each joint, rad: measured, else commanded."""
         ...
 
     def follow(self, trajectory: Trajectory, start_s: float) -> None:
@@ -159,7 +159,7 @@ class Actuator(Device, Protocol):
 
 @runtime_checkable
 class Paced(Actuator, Protocol):
-    """An actuator that sends its set-points one after another, and knows how evenly."""
+    """An actuator that streams set-points and records their timing."""
 
     def restart_pacing(self) -> None:
         """Forget how evenly set-points have gone out so far."""
@@ -175,11 +175,11 @@ class Arranging(Device, Protocol):
     """A device that puts something of a trial's condition in place before anything moves: a slider of two states."""
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
-        """Say what the next trial's condition is; returns at once."""
+        """Announce the condition of the next trial; returns at once."""
         ...
 
     def arrived(self) -> bool:
-        """Tell whether it is in place; asked again and again while the bench is watched.
+        """Tell whether everything is in place; polled while the bench is monitored.
 
         Raises
         ------
@@ -191,7 +191,7 @@ class Arranging(Device, Protocol):
 
 @runtime_checkable
 class Attended(Arranging, Actuator, Protocol):
-    """An actuator that is a person: wants to be told what to put in place, and says when it is there."""
+    """An actuator that is a person, who is told what to put in place and confirms it."""
 
 
 @runtime_checkable

@@ -10,7 +10,7 @@ import serial
 
 from labrun.errors import DeviceError
 
-_REPLUG = "check its cable and power; once it is back, labrun resume goes on"
+_REPLUG = "check its cable and power; once it is back, labrun resume continues"
 
 
 class SerialPort:
@@ -145,7 +145,7 @@ class SerialPort:
         if not Path(self.port).exists() or number in (errno.ENOENT, errno.ENXIO, errno.EIO, errno.ENODEV):
             return DeviceError(
                 self.device,
-                f"there is no port {self.port}",
+                f"cannot find the port {self.port}",
                 hint="plug it in, or set its port; labrun doctor lists the ports of this machine",
             )
         if number == errno.EACCES or not os.access(self.port, os.R_OK | os.W_OK):

@@ -207,7 +207,7 @@ def _strangers(
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     for name in expression.names:
         if name not in known:
-            yield key, f"there is no {name!r}; {suggest(name, known)}"
+            yield key, f"unknown name {name!r}; {suggest(name, known)}"
 
 
 def _imported(name: str) -> Any:

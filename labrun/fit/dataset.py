@@ -380,7 +380,7 @@ def _columns(
             near = get_close_matches(wanted, names, n=1)
             listed = f"its {kind} channels are {', '.join(names) or 'none'}"
             raise RequestError(
-                f"the model's {kind} {port.name!r} is no {kind} channel of {source}",
+                f"the model's {kind} {port.name!r} is not an {kind} channel of {source}",
                 hint=f"did you mean {near[0]!r}?" if near else listed,
             )
         index = names.index(wanted)

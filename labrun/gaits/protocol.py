@@ -241,7 +241,7 @@ class Scope:
         if moving:
             raise SpecError(
                 f"{what} = {expression.text!r} depends on {', '.join(moving)}, which a loop or time changes",
-                hint="a loop sets how a joint moves within its cycle; the cycle itself goes on",
+                hint="a loop sets the motion within a cycle, not the cycle itself",
             )
         return float(expression(self._fixed))
 

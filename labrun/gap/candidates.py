@@ -316,7 +316,7 @@ def candidates(
     for name in withhold:
         if name not in known:
             raise RequestError(
-                f"there is no effect {name!r} to withhold", hint=suggest(name, known, kind="effects")
+                f"unknown effect {name!r} in --withhold", hint=suggest(name, known, kind="effects")
             )
     results = []
     for effect in library:

@@ -117,7 +117,7 @@ def require_new(path: Path) -> None:
     if path.exists():
         raise RequestError(f"{path} is there already", hint="name another file, or move that one away")
     if not path.absolute().parent.is_dir():
-        raise RequestError(f"there is no folder {path.parent} to save the corrected model in")
+        raise RequestError(f"cannot find the folder {path.parent} for the corrected model")
     require_writable(path.absolute().parent, path.name)
 
 

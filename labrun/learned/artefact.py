@@ -74,7 +74,7 @@ def read_learned(path: Path) -> LearnedModel:
     ]
     if missing:
         raise SpecError(
-            f"{path} is no learned model: it has no {', '.join(missing)}",
+            f"{path} is not a learned model: it lacks {', '.join(missing)}",
             hint="labrun fit NAME --model mlp writes one, a .toml and an .npz beside it",
         )
     weights_path = path.parent / str(data["weights"])
@@ -105,7 +105,7 @@ def read_learned(path: Path) -> LearnedModel:
     if changed:
         raise SpecError(
             f"scaling.{changed[0]} in {path} is not that of the weights in {weights_path.name}",
-            hint="the numbers of one fit belong together: copy both of its files again, or fit anew",
+            hint="the numbers of one fit belong together: copy both of its files again, or repeat the fit",
         )
     return model
 
@@ -190,7 +190,7 @@ def _model(
 
 def _activation(name: Any) -> Activation:
     if name not in ACTIVATIONS:
-        raise ValueError(f"activation {name!r} is none of {', '.join(ACTIVATIONS)}")
+        raise ValueError(f"activation {name!r} is not one of {', '.join(ACTIVATIONS)}")
     return cast("Activation", name)
 
 

@@ -87,7 +87,7 @@ class Network:
         """Return the outputs for one set of inputs."""
         return tuple(self(np.array([values]))[0].tolist())
 
-    @np.errstate(over="ignore", invalid="ignore")  # a loop tells which of its drives is no number
+    @np.errstate(over="ignore", invalid="ignore")  # a loop tells which of its drives is not a number
     def collapsed(self) -> "Network":
         """Return the one affine layer that a network with identity activation is, however deep.
 
@@ -97,7 +97,7 @@ class Network:
             Another activation: such a network is no affine map.
         """
         if self.activation != "identity":
-            raise ValueError(f"a network with {self.activation} activation is no affine map")
+            raise ValueError(f"a network with {self.activation} activation is not an affine map")
         weight, bias = self.weights[0], self.biases[0]
         for after, shift in zip(self.weights[1:], self.biases[1:], strict=True):
             weight, bias = weight @ after, bias @ after + shift

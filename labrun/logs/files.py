@@ -59,7 +59,7 @@ def read_log(
         entries = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []
         near = nearest(path.name, entries)
         hint = f'did you mean "{path.with_name(near)}"?' if near else f"looked from {Path.cwd()}"
-        raise RequestError(f"there is no log {path}", hint=hint)
+        raise RequestError(f"cannot find the log {path}", hint=hint)
     suffix = path.suffix.lower()
     if not path.is_dir() and suffix not in KNOWN:
         raise RequestError(

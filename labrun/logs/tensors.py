@@ -85,7 +85,7 @@ class _Unpickler(pickle.Unpickler):
     def persistent_load(self, pid: Any) -> Any:
         kind, storage_type, key, _, count = pid
         if kind != "storage" or not isinstance(storage_type, _StorageType):
-            raise pickle.UnpicklingError(f"it refers to {kind!r}, which is no storage of numbers")
+            raise pickle.UnpicklingError(f"it refers to {kind!r}, which is not a storage of numbers")
         return self._storage(storage_type.dtype, str(key), int(count))
 
 

@@ -110,7 +110,7 @@ def _site(name: str, table: SiteTable) -> Site:
 def _check_states(file: ModelFile, given: EquationsFile) -> None:
     for state in given.equations:
         if state not in given.states:
-            file.note(("equations", state), f"there is no state {state!r}", suggest(state, given.states))
+            file.note(("equations", state), f"unknown state {state!r}", suggest(state, given.states))
     for state in given.states:
         if state not in given.equations:
             hint = f'{state} = "..." gives its time derivative'
@@ -137,7 +137,7 @@ def _check_springs(file: ModelFile, given: EquationsFile) -> None:
         # a name alone is meant to be a parameter; what else there may be in an expression is looked at where it is read
         if spring.isidentifier() and spring not in given.parameters:
             hint = suggest(spring, given.parameters)
-            file.note(("sites", name, "stiffness"), f"there is no parameter {spring!r}", hint)
+            file.note(("sites", name, "stiffness"), f"unknown parameter {spring!r}", hint)
 
 
 def _check_forces(file: ModelFile, expressions: Expressions, sites: Sequence[Site]) -> None:
@@ -152,7 +152,7 @@ def _check_forces(file: ModelFile, expressions: Expressions, sites: Sequence[Sit
             used.add(site)
             if site not in names:
                 hint = suggest(site, names) if names else f"declare [sites.{site}]"
-                reason = f"there is no site {site!r}"
+                reason = f"unknown site {site!r}"
                 file.note_in(path, ExpressionError(expression.text, reason, position, hint))
             elif path[0] in ("sites", "where"):
                 what = (
@@ -239,7 +239,7 @@ def python_model(
                 raise ModelError(f"{where}: {problem.reason}", hint=problem.hint) from None
             for used in expressions[-1].names:
                 if used not in variables and used != "t":
-                    raise ModelError(f"{where}: there is no {used!r}", hint=suggest(used, list(variables)))
+                    raise ModelError(f"{where}: unknown name {used!r}", hint=suggest(used, list(variables)))
     return Model(
         name=name,
         states=tuple(states),

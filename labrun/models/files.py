@@ -54,7 +54,7 @@ def load_model(source: str | Path, depth: int = 0) -> Model:
         loaded = registry.load(GROUP, name)
         made = loaded() if callable(loaded) and not isinstance(loaded, Model) else loaded
         if not isinstance(made, Model):
-            raise ModelError(f"{name} is no labrun model but {type(made).__name__}")
+            raise ModelError(f"{name} is not a labrun model but {type(made).__name__}")
         return made
     if name.endswith(".py"):
         raise ModelError(
@@ -62,7 +62,7 @@ def load_model(source: str | Path, depth: int = 0) -> Model:
         )
     known = [*shipped_models(), *registry.names(GROUP)]
     files = model_files_like(Path(name))
-    raise ModelError(f"there is no model {name!r}", hint=suggest(name, files or known))
+    raise ModelError(f"unknown model {name!r}", hint=suggest(name, files or known))
 
 
 def parse_model(text: str, name: str, depth: int = 0) -> Model:
@@ -141,6 +141,6 @@ def _text(path: Path) -> str:
     except FileNotFoundError:
         like = model_files_like(path)
         hint = suggest(str(path), like) if like else f"looked from {Path.cwd()}"
-        raise ModelError(f"there is no model file {path}", hint=hint) from None
+        raise ModelError(f"cannot find the model file {path}", hint=hint) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ModelError(f"{path} cannot be read: {error}") from None

@@ -285,7 +285,7 @@ class Model:
                 *(parameter.name for parameter in self.parameters),
             ]
             raise ModelError(
-                f"the equations of model {self.name} use {name!r}, which is no state, input or parameter, "
+                f"the equations of model {self.name} use {name!r}, which is not a state, input or parameter, "
                 f"and the trial's condition has no {quantity!r} (it has: {', '.join(condition) or 'nothing'})",
                 hint=suggest(quantity, [*ours, *condition]),
             )

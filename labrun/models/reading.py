@@ -31,10 +31,11 @@ def initial_of(
     for state, rule in rules.items():
         path = ("initial", state)
         if state not in states:
-            file.note(path, f"there is no state {state!r}", suggest(state, states))
+            file.note(path, f"unknown state {state!r}", suggest(state, states))
         elif rule == "first" and state not in [output.name for output in outputs]:
             file.note(
-                path, f'"first" is the mean of an output\'s first samples, and there is no output {state!r}'
+                path,
+                f'"first" is the mean of an output\'s first samples, and the model has no output {state!r}',
             )
         elif isinstance(rule, str) and rule not in ("first", "free") and not is_name(rule):
             file.note(path, 'it is neither a number, "first", "free" nor the name of a condition or an input')
@@ -74,7 +75,7 @@ def conditions_of(
                 continue
             if declared is not None and name not in declared:
                 hint = suggest(name, [*known, *declared])
-                file.note_in(path, ExpressionError(expression.text, f"there is no {name!r}", position, hint))
+                file.note_in(path, ExpressionError(expression.text, f"unknown name {name!r}", position, hint))
             names.setdefault(name)
     return tuple(names)
 
@@ -89,7 +90,7 @@ def refuse_unused(
 ) -> None:
     """Refuse parameters that nothing uses: mostly a misspelt name, and never something data could determine."""
     used = {name for expression in expressions.values() for name in expression.names}
-    misspelt = f"equations use {', '.join(conditions)}, which is no parameter: misspelt?"
+    misspelt = f"equations use {', '.join(conditions)}, which is not a parameter; check the spelling"
     for parameter in parameters:
         if parameter.name not in used:
             hint = misspelt if conditions else "take it out"

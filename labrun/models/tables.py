@@ -44,13 +44,13 @@ def _usable(name: str) -> str:
             f"equations cannot use the name {name!r}: expected letters, digits and _, and no Python keyword"
         )
     if name in RESERVED:
-        raise ValueError(f"{name!r} already means something in equations; choose another name")
+        raise ValueError(f"{name!r} is reserved in equations; choose another name")
     return name
 
 
 def _each_once(names: tuple[str, ...]) -> tuple[str, ...]:
     if len(set(names)) < len(names):
-        raise ValueError(f"a name occurs twice in {list(names)}")
+        raise ValueError(f"duplicate name in {list(names)}")
     return names
 
 

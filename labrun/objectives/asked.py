@@ -64,7 +64,7 @@ class Asked:
 
     def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
         if channel is not None:
-            raise SpecError('"asked" takes no channel: a person answers')
+            raise SpecError('"asked" takes no channel, because a person answers')
         self._keys = checked(AskedSettings, settings)
         self.reads = self._keys.reads
 
@@ -95,12 +95,12 @@ class Asked:
             ]
             exact = [index for index, word in enumerate(choices) if word.lower() == typed.lower()]
             if len(exact or near) != 1:
-                raise ValueError(f"{typed!r} is none of the choices; {self._wanted}")
+                raise ValueError(f"{typed!r} is not one of the choices; {self._wanted}")
             return float((exact or near)[0])
         try:
             number = float(typed.replace(",", "."))
         except ValueError:
-            raise ValueError(f"{typed!r} is no number; {self._wanted}") from None
+            raise ValueError(f"{typed!r} is not a number; {self._wanted}") from None
         least, most = self._keys.least, self._keys.most
         if (
             not math.isfinite(number)
@@ -111,9 +111,9 @@ class Asked:
         try:
             made = float(self._keys.value({ANSWER: number}))
         except ExpressionError as error:
-            raise ValueError(f"nothing can be made of {typed}: {error}") from None
+            raise ValueError(f"cannot evaluate {typed}: {error}") from None
         if not math.isfinite(made):
-            raise ValueError(f"nothing can be made of {typed}: {self._keys.value.text} is {made}")
+            raise ValueError(f"cannot evaluate {typed}: {self._keys.value.text} is {made}")
         return number
 
     def value(self, number: float) -> float:
@@ -122,7 +122,7 @@ class Asked:
 
     def __call__(self, signals: TrialSignals) -> float:  # noqa: ARG002
         """Raise: nothing recorded tells what a person saw."""
-        raise ExperimentError("nobody was asked in this trial")
+        raise ExperimentError("no answer was recorded in this trial")
 
     @property
     def _wanted(self) -> str:

@@ -54,7 +54,7 @@ class ChannelObjective(ABC):
 
     def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
         if channel is None:
-            raise SpecError('the key "channel" is missing: which channel this number is made of')
+            raise SpecError('the key "channel" is missing: name the channel to evaluate')
         self.channel = channel
         self._settings = checked(self.Settings, settings)
 
@@ -204,7 +204,7 @@ class MeanAbsolute(ReducedChannel):
         if first is None:
             raise ExperimentError(
                 f"{self.channel} has fewer than 2 samples between {start_s:.4g} and {end_s:.4g} s",
-                hint=f"the recording lasts {signals.end_s - signals.start_s:.4g} s: look at from_s and to_s",
+                hint=f"the recording lasts {signals.end_s - signals.start_s:.4g} s: check from_s and to_s",
             )
         rest = (part for part in parts if len(part.time_s) > 1)
         return self._number(map(self._scaled, chain([first], rest)))

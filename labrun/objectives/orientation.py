@@ -148,6 +148,6 @@ def _part(time_s: FloatArray, from_s: float, to_s: float) -> Any:
     if not chosen.any():
         raise ExperimentError(
             f"the loop has no step between {from_s:g} and {to_s:g} s",
-            hint="look at from_s, to_s and the trial's length",
+            hint="check from_s, to_s and the duration of the trial",
         )
     return chosen

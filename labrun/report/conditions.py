@@ -277,7 +277,7 @@ def _separation(points: Sequence[Point], maximise: bool) -> str:
     if (low if maximise else -high) > 0:
         return f"The first leads the second beyond chance {range_text}."
     return (
-        f"The first two cannot be told apart by these repeats {range_text}: their order may be chance, what the winner "
+        f"These repeats do not distinguish the first two {range_text}: their order may be chance, what the winner "
         "reaches is not."
     )
 

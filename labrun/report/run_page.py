@@ -336,7 +336,7 @@ def fit_context(fit: StoredFit) -> Mapping[str, Any]:
     """Return what a page tells of a fit."""
     numbers = fit.numbers
     if fit.fault:
-        return {"fault": f"{fit.path.name} cannot be read ({fit.fault}): labrun fit writes it anew."}
+        return {"fault": f"{fit.path.name} cannot be read ({fit.fault}): labrun fit writes it again."}
     fixed = as_table(numbers.get("fixed")).items()
     estimates = fit.estimates
     rows = [

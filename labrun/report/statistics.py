@@ -237,8 +237,8 @@ def drift_of(run: Run) -> list[Drift]:
     starts = [outcome.started_s for outcome in run.outcomes]
     if any(later < earlier for earlier, later in pairwise(starts)):
         raise RequestError(
-            f"no drift can be removed from {run.path}: its clock began anew in its course (the machine was restarted), "
-            "so that times before and after do not compare",
+            f"no drift can be removed from {run.path}: its clock restarted during the run (the machine was rebooted), "
+            "so times before and after cannot be compared",
             hint="export it without --remove-drift",
         )
     return trends

@@ -88,7 +88,7 @@ def what_came_out(findings: Findings) -> str:
     """Return what a run without an honest best measured, in a sentence."""
     experiment = findings.experiment
     if not findings.accepted:
-        return "No trial was accepted, so there is nothing to conclude yet."
+        return "No trial was accepted, so nothing can be concluded yet."
     goal = experiment.goal
     if goal is not None:
         points = findings.points(goal[0])
@@ -109,7 +109,7 @@ def what_came_out(findings: Findings) -> str:
         len(signals.columns) for signals in findings.run.signals(findings.accepted[0].index).values()
     )
     if not channels:
-        return "It declares no objective and recorded no channel: there is nothing to draw."
+        return "It declares no objective and recorded no channel, so nothing can be plotted."
     return f"It declares no objective: what it measured is the signals of {counted(channels, 'channel')}, shown below."
 
 

@@ -2,7 +2,7 @@
 
 from labrun.devices.clock import RealClock, SimulatedClock
 from labrun.interrupts import Interrupted
-from labrun.runner.asking import Person, Scripted, Willing
+from labrun.runner.asking import AutoConfirm, Person, Scripted
 from labrun.runner.bench import Bench, Handle
 from labrun.runner.damage import worn_before, worn_specimens
 from labrun.runner.doctor import examine_machine, examine_rig, find_devices
@@ -27,10 +27,10 @@ from labrun.runner.tare import untared_objectives
 from labrun.runner.until import UntilRecorder
 
 __all__ = [
-    "LEAD_S", "TAIL_S", "Bench", "ConditionExcess", "EmulatedBench", "Handle", "Interrupted", "JointPeak",
-    "LimitReached", "Measurement", "MotionMaker", "ObjectiveError", "ObjectiveEvaluation", "Person", "Plan",
-    "Planner", "Progress", "RealClock", "Recorder", "Rig", "Scripted", "SearchSpace", "Session", "SilentProgress",
-    "SimulatedClock", "SpaceBreak", "TrialMotion", "TrialRecording", "UntilRecorder", "Willing",
+    "LEAD_S", "TAIL_S", "AutoConfirm", "Bench", "ConditionExcess", "EmulatedBench", "Handle", "Interrupted",
+    "JointPeak", "LimitReached", "Measurement", "MotionMaker", "ObjectiveError", "ObjectiveEvaluation", "Person",
+    "Plan", "Planner", "Progress", "RealClock", "Recorder", "Rig", "Scripted", "SearchSpace", "Session",
+    "SilentProgress", "SimulatedClock", "SpaceBreak", "TrialMotion", "TrialRecording", "UntilRecorder",
     "examine_machine", "examine_rig", "find_devices", "guard_excesses", "has_emulator", "percent", "ports_of",
     "record_planned", "resolve_device", "smooth_move", "unsettled", "untared_objectives", "within_bounds",
     "worn_before", "worn_specimens",

@@ -61,11 +61,13 @@ def answered(
             return meaning(line)
         except ValueError as error:
             problem = str(error)
-    raise ExperimentError(f"{_MOST_ANSWERS} answers to {text!r} were none; the last: {problem}", hint=hint)
+    raise ExperimentError(
+        f"no valid answer to {text!r} after {_MOST_ANSWERS} attempts; the last: {problem}", hint=hint
+    )
 
 
-class Willing:
-    """Has always done what was asked: the person of a simulated bench."""
+class AutoConfirm:
+    """Confirm every request at once, as the person at a simulated bench does."""
 
     def ask(self, text: str) -> None:
         """Do it."""
@@ -254,7 +256,7 @@ class Asking:
 
 def _kept(line: str) -> None:
     if line.strip():
-        raise ValueError(f"{line!r} is no answer here: press Enter, or type back")
+        raise ValueError(f"{line!r} is not an answer here; press Enter, or type back")
 
 
 def _user() -> str:

@@ -98,7 +98,7 @@ class SensorWatch:
                 raise SilentDeviceError(
                     self.name,
                     f"stopped answering: no sample for {quiet_s:.2g} s at {self.sensor.rate_hz:g} samples/s",
-                    hint="check its cable and power; labrun resume goes on once it answers",
+                    hint="check its cable and power; labrun resume continues once it answers",
                 )
             return block
         self._check_shape(block)
@@ -153,7 +153,7 @@ class SensorWatch:
             channel = self.sensor.channels[column]
             nonsense = NonsenseError(
                 self.name,
-                f"answered nonsense: {channel.name} = {block.values[row, column]:g} {channel.unit}",
+                f"sent an implausible value: {channel.name} = {block.values[row, column]:g} {channel.unit}",
                 hint="check its wiring, its supply and its driver's settings",
             )
             nonsense.clock_s = float(block.host_time_s[row])
@@ -347,7 +347,7 @@ class Bench:
             if self.clock.now() > deadline_s:
                 raise SilentDeviceError(
                     device,
-                    f"did not arrive: it stands at {self._position_m(device):.4g} m, {to_m:.4g} m was asked for",
+                    f"did not arrive: it stands at {self._position_m(device):.4g} m, {to_m:.4g} m was commanded",
                     hint="look for an obstacle or a protective stop of the carriage",
                 )
             self.watch(self.clock.now() + min(self.clock.poll_s, 0.1))
@@ -368,7 +368,7 @@ class Bench:
             if not health.ok:
                 notes = "; ".join(health.notes) or "no reason given"
                 raise DeviceError(
-                    name, f"says it is not well: {notes}", hint="see its manual for the state it reports"
+                    name, f"reports a fault: {notes}", hint="see its manual for the state it reports"
                 )
 
     def _arrived(self, name: str) -> bool:
@@ -388,9 +388,7 @@ class Bench:
             raise wrong_answer(name, "pose", pose, f"an angle for each of {', '.join(actuator.joints)}")
         for joint, angle in pose.items():
             if not math.isfinite(angle):
-                raise NonsenseError(
-                    name, f"says that joint {joint} stands at {angle} rad", hint="check its sensor"
-                )
+                raise NonsenseError(name, f"reports joint {joint} at {angle} rad", hint="check its sensor")
         return pose
 
     def _position_m(self, name: str) -> float:
@@ -399,7 +397,7 @@ class Bench:
         if not isinstance(position, int | float | np.floating):
             raise wrong_answer(name, "position_m", position, "a number")
         if not math.isfinite(position):
-            raise NonsenseError(name, f"says that it stands at {position} m", hint="check its controller")
+            raise NonsenseError(name, f"reports a position of {position} m", hint="check its controller")
         return position
 
     def _check_poses(self, now_s: float) -> None:

@@ -16,7 +16,7 @@ _EVENT = "mounting"
 _ROUND = 1 << 32
 _CHANGE = "Enter: it is in place.   back: the last one was wrong.   back 3: mounting 3 was wrong."
 _END = "Enter: all of them were right.   back: the last one was wrong.   back 3: mounting 3 was wrong."
-_STILL = "Enter: it is as it was.   again: it was taken out, and is mounted and measured anew."
+_STILL = "Enter: it is still mounted.   again: it was taken out; mount it again and repeat its trials."
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +187,9 @@ class Mountings:
         if coming is None or table is None:
             return f"All is measured. The last: {self._name(self._mounted[-1])}."
         last = self._mounted[-1] if self._mounted else None
-        first = "Take it out, and then anew: " if last is not None and last.values == coming.values else ""
+        first = (
+            "Take it out and mount it again: " if last is not None and last.values == coming.values else ""
+        )
         total = self._count + len(self._coming)
         return (
             f"{first}{table.instruction(coming.values, self._units)} (mounting {self._count + 1} of {total})"
@@ -202,15 +204,15 @@ class Mountings:
         if not line:
             return None
         if word not in ("back", "no", "b") or not (number == "" or number.strip().isdigit()):
-            raise ValueError(f"{line!r} is no answer")
+            raise ValueError(f"{line!r} is not an answer")
         if not self._mounted:
-            raise ValueError("nothing was mounted before that could be taken back")
+            raise ValueError("no earlier mounting can be taken back")
         if not number:
             return self._mounted[-1]
         meant = self._numbered(int(number))
         if meant is None:
             known = ", ".join(str(item.number) for item in self._mounted)
-            raise ValueError(f"there is no mounting {number.strip()} to go back to; there are {known}")
+            raise ValueError(f"unknown mounting {number.strip()}; mountings so far: {known}")
         return meant
 
     def _numbered(self, number: int) -> Mounting | None:
@@ -245,5 +247,5 @@ class Mountings:
 
 def _again(line: str) -> bool:
     if line not in ("", "again"):
-        raise ValueError(f"{line!r} is no answer")
+        raise ValueError(f"{line!r} is not an answer")
     return line == "again"

@@ -151,9 +151,7 @@ def _examine_device(name: str, device: Device, clock: Clock) -> Iterator[Remark]
         if health.ok:
             yield Remark("ok", name, "well" + (f": {notes}" if notes else ""))
         else:
-            yield Remark(
-                "problem", name, f"says it is not well: {notes or 'no reason given'}", "see its README"
-            )
+            yield Remark("problem", name, f"reports a fault: {notes or 'no reason given'}", "see its README")
         if isinstance(device, Sensor):
             yield _rate(name, device, clock)
         examine = getattr(device, "examine", None)

@@ -350,7 +350,7 @@ class MotionMaker:
             return {}, ()
         if not isinstance(self._gait, OscillatingGait):
             raise PlanError(
-                f'trial.average: the gait "{self._name}" does not tell how often its joints repeat',
+                f'trial.average: the gait "{self._name}" does not state the frequencies of its joints',
                 hint="give it frequencies_hz(condition), as sine has, or leave average out",
             )
         known = self._gait.frequencies_hz(condition)
@@ -384,8 +384,8 @@ class MotionMaker:
 
     def _no_motion(self, why: str) -> PlanError:
         return PlanError(
-            f'gait "{self._name}" gives no motion: {why}',
-            hint="look at its expressions, or keep the condition out with a where constraint",
+            f'gait "{self._name}" computes no motion: {why}',
+            hint="check its expressions, or exclude the condition with a where constraint",
         )
 
     def _travel(self, condition: Condition) -> Travel | None:

@@ -86,7 +86,7 @@ def _unknown(key: str, name: str, known: Iterable[str], kind: str) -> list[str]:
     known = sorted(known)
     if name in known:
         return []
-    return [f"{key}: {name!r} is not one of the rig's {kind}: {', '.join(known) or 'there are none'}"]
+    return [f"{key}: {name!r} is not one of the rig's {kind}: {', '.join(known) or 'it has none'}"]
 
 
 _SHOWN = 5

@@ -73,7 +73,8 @@ def resolve_device(name: str, table: PluginTable, *, dry_run: bool) -> ResolvedD
         port = table.settings.get("port")
         where = f" at {port}" if port else ""
         raise RequestError(
-            f"device {name}{where}: no driver {plugin!r} is installed here, only its stand-in {STAND_IN + plugin!r}",
+            f"device {name}{where}: driver {plugin!r} is not installed, only its simulated device "
+            f"{STAND_IN + plugin!r}",
             hint="--dry-run works without it; install the driver's package to run the bench",
         )
     if dry_run and not _is_driver(plugin) and plugin != table.plugin:
@@ -324,7 +325,7 @@ class EmulatedBench:
         # Kept before it is waited for: whoever presses Ctrl-C meanwhile leaves no process behind.
         process = self._scene_process = _started("scene", task)
         if _answer(process, "the simulated bench").strip() != READY.encode():
-            raise ExperimentError("the simulated bench did not start", hint="its own message stands above")
+            raise ExperimentError("the simulated bench did not start", hint="see its message above")
 
     def _start_emulator(
         self, number: int, name: str, table: PluginTable, served: Mapping[str, str] | None
@@ -353,7 +354,7 @@ class EmulatedBench:
             processes.tell(process, order)
         except (OSError, ValueError) as error:
             raise ExperimentError(
-                f"the emulator of {device} is gone", hint="its own message stands above"
+                f"the emulator of {device} is gone", hint="see its message above"
             ) from error
 
 
@@ -367,7 +368,7 @@ def _answer(process: "subprocess.Popen[bytes]", who: str) -> bytes:
     """Return the line a process says first."""
     line = processes.answer(process, _START_S)
     if not line:
-        raise ExperimentError(f"{who} did not start", hint="its own message stands above")
+        raise ExperimentError(f"{who} did not start", hint="see its message above")
     return line
 
 

@@ -320,7 +320,7 @@ def start_watchdog(resolved: Sequence[ResolvedDevice], moving: Collection[str], 
         watchdog.end()
         raise ExperimentError(
             "the watchdog process did not start",
-            hint="its own message stands above; python -m labrun.devices.processes.watchdog must run here",
+            hint="see its message above; python -m labrun.devices.processes.watchdog must run here",
         )
     return watchdog
 

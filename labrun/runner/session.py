@@ -9,7 +9,7 @@ from labrun.devices import Clock
 from labrun.devices.clock import RealClock
 from labrun.errors import DeviceError, ExperimentError, LimitExceededError, RecordingError
 from labrun.interrupts import Interrupted, Interrupts, handled
-from labrun.runner.asking import Person, Willing
+from labrun.runner.asking import AutoConfirm, Person
 from labrun.runner.bench import Bench
 from labrun.runner.by_hand import SET_ASIDE, Mounting, Mountings
 from labrun.runner.damage import Damage, Worn
@@ -131,7 +131,7 @@ class Session:
             seed=seed,
             phase=self._progress.phase,
             recorder=recorder,
-            person=person or Willing(),
+            person=person or AutoConfirm(),
             wait=self._wait,
             may_correct=self._may_correct,
             correct=self._correct,
@@ -140,7 +140,7 @@ class Session:
         self._hands = Mountings(
             experiment.by_hand,
             experiment.units,
-            person or Willing(),
+            person or AutoConfirm(),
             folder.journal,
             self._wait,
             self._set_aside,
@@ -410,7 +410,7 @@ class Session:
         if self._raised[1] >= _MOST_RAISED:
             raise ExperimentError(
                 f"{_MOST_RAISED} trials failed one after the other in the same way; the last: {reason}",
-                hint="everything recorded is kept; mend the objective before the run goes on",
+                hint="everything recorded is kept; fix the objective before you resume the run",
             )
 
     def _warn_unsettled(self, outcome: TrialOutcome) -> None:

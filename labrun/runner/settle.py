@@ -49,7 +49,7 @@ def watched_channels(rule: Settle, rig: Rig) -> tuple[Watched, ...]:
         if not chosen:
             names = ", ".join(item.name for item in known) or "none: the rig has no sensor"
             raise SpecError(
-                f"trial.settle.channel: there is no channel {rule.channel!r}", hint=f"channels: {names}"
+                f"trial.settle.channel: it has no channel {rule.channel!r}", hint=f"channels: {names}"
             )
         return chosen
     if not known:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from labrun.errors import DeviceError, ExperimentError, LabrunError
-from labrun.runner.asking import Asking, Onlooker, Person, Willing
+from labrun.runner.asking import Asking, AutoConfirm, Onlooker, Person
 from labrun.runner.bench import Bench
 from labrun.runner.damage import Damage
 from labrun.runner.following import require_followed
@@ -122,8 +122,10 @@ class TrialRunner:
         correct: Callable[[int, Mapping[str, float]], object],
     ) -> Asking:
         questions = self._evaluation.questions
-        simulated = Onlooker.of(self._rig.scene, self._bench.clock) if isinstance(person, Willing) else None
-        if questions and isinstance(person, Willing) and simulated is None:
+        simulated = (
+            Onlooker.of(self._rig.scene, self._bench.clock) if isinstance(person, AutoConfirm) else None
+        )
+        if questions and isinstance(person, AutoConfirm) and simulated is None:
             raise ExperimentError(
                 f"{', '.join(questions)} would be typed by a person, and no scene answers in their place",
                 hint="--dry-run with a scene that has a method answer(), the bench, or Python with person=...",

@@ -167,7 +167,7 @@ class RunResult:
         if self.figure is not None:
             lines.append(f"figure    {self.figure}")
         if not self.finished:
-            lines.append(f"to go on  {resume_line(self.run)}")
+            lines.append(f"continue  {resume_line(self.run)}")
         return "\n".join(lines)
 
     def unsettled_text(self) -> str:
@@ -191,7 +191,7 @@ def stored_result(run: Path) -> RunResult | None:
     except (ValueError, LookupError, TypeError) as error:
         raise RecordingError(
             f"{path} is damaged: {error}",
-            hint=f"the trials are in the run's other files: delete this one, and {resume_line(run)} writes it anew",
+            hint=f"the trials are in the run's other files: delete this one, and {resume_line(run)} writes it again",
         ) from error
 
 
@@ -240,7 +240,7 @@ def apart_text(winners: Sequence[Best], levels: Sequence[Mapping[str, Value]]) -
     rest = " and ".join(
         condition_text({name: candidate.parameters[name] for name in names}) for candidate in near
     )
-    return f"{at} is not told apart from {rest}: their 95 % intervals overlap"
+    return f"{at} is not distinguishable from {rest}: their 95 % intervals overlap"
 
 
 def _apart(best: Best, other: Best) -> bool:

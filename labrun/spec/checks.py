@@ -123,14 +123,14 @@ def _check_model(model: object, path: KeyPath, experiment: Path | None) -> Itera
     if model.endswith(".toml"):
         siblings = sorted((experiment.parent / model).parent.glob("*.toml"))
         known = [str(Path(model).parent / item.name) for item in siblings if item != experiment]
-        yield from check_name(model, path, known, "there is no such model file", kind="model files")
+        yield from check_name(model, path, known, "no such model file", kind="model files")
     elif ":" in model or registry.is_installed("labrun.models", model):
         yield from load_plugin("labrun.models", model, path)[1]
     else:
         shipped = sorted(item.stem for item in (shipped_experiments() / "models").glob("*.toml"))
         if model not in shipped:
             known = [*shipped, *registry.names("labrun.models")]
-            yield from check_name(model, path, known, "there is no such model", kind="models")
+            yield from check_name(model, path, known, "no such model", kind="models")
 
 
 def _check_names(
@@ -279,7 +279,7 @@ def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterat
             faults = list(check_expression(expression, path, names))
             if not faults and isinstance(expression, str) and not Expression.of(expression).is_comparison:
                 faults.append(
-                    Fault(path, 'is no comparison; write for example "a + abs(b) <= 60"', at_value=True)
+                    Fault(path, 'is not a comparison; write for example "a + abs(b) <= 60"', at_value=True)
                 )
             yield from faults
 

@@ -105,7 +105,7 @@ def _below(model: type[BaseModel], where: str, parts: list[str]) -> list[Key]:
         return [own, *(key for gait in registry.names("labrun.gaits") for key in _joint_keys(gait, at))]
     inner, by_name = _model_within(fields[name].annotation)
     if inner is None and rest:
-        raise RequestError(f"{at} is no table: nothing stands below it", hint=f"labrun keys {at}")
+        raise RequestError(f"{at} is not a table, so it has no keys", hint=f"labrun keys {at}")
     if inner is None:
         return [own]
     if rest:

@@ -414,11 +414,11 @@ def _find_file(experiment: Path, name: str) -> Path:
         siblings = sorted((experiment.parent / name).parent.glob(f"*{Path(name).suffix}"))
         known = [str(Path(name).parent / item.name) for item in siblings if item != experiment]
         kind = f"{Path(name).suffix} files".strip()
-        raise SpecError(f'there is no file "{name}"; {suggest(name, known, kind=kind)}')
+        raise SpecError(f'cannot find the file "{name}"; {suggest(name, known, kind=kind)}')
     shipped = shipped_experiments().resolve()
     if file.resolve().is_relative_to(shipped) and not experiment.resolve().is_relative_to(shipped):
         raise SpecError(
-            f'there is no file "{name}" in this workspace; labrun ships one of that name, of its own bench',
+            f'cannot find the file "{name}" in this workspace; labrun ships one of that name, of its own bench',
             hint=f"make yours, or copy that one with what stands beside it: {file}",
         )
     return file

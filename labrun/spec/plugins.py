@@ -223,7 +223,7 @@ def _check_gait(data: Mapping[str, Any]) -> Iterator[Fault]:
     has_cycle = getattr(loaded, "has_cycle", None)
     length = next((key for key in ("cycles", "until") if key in table(data, "trial")), None)
     if "gait" not in data and length is not None:
-        yield Fault(("trial", length), "without [gait] there is no cycle to count; give duration_s")
+        yield Fault(("trial", length), "without [gait] the trial has no cycle to count; give duration_s")
     if not joints or length is None or has_cycle is None:
         return
     if not has_cycle(joints):

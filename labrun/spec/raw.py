@@ -176,7 +176,7 @@ def check_channel(channel: object, path: KeyPath, devices: Mapping[str, DeviceIn
     if name not in devices:
         near = nearest(channel, known)
         hint = f'did you mean "{near}"?' if near else suggest(name, devices, kind="devices")
-        yield Fault(path, f'there is no device "{name}"; {hint}', at_value=True)
+        yield Fault(path, f'unknown device "{name}"; {hint}', at_value=True)
         return
     channels = devices[name].channels
     if not signal:

@@ -131,7 +131,7 @@ def check_damage(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Fau
         except ExpressionError:
             continue
         if not compares:
-            yield Fault(path, 'is no comparison; write for example "reach < 0"', at_value=True)
+            yield Fault(path, 'is not a comparison; write for example "reach < 0"', at_value=True)
     if data.get("kind") == "cmaes":
         text = "a search cannot put damaging conditions last; use damage with run, sweep or track"
         yield Fault(("damage",), text)

@@ -68,7 +68,9 @@ def new_experiment(name: str, devices: Sequence[str], kind: Kind, folder: Path) 
     """
     path = folder / f"{name.removesuffix('.toml')}.toml"
     if Path(name).name != name or not path.stem.replace("-", "").replace("_", "").isalnum():
-        raise RequestError(f"{name!r} is no name for an experiment", hint="letters, digits, - and _: my-arm")
+        raise RequestError(
+            f"{name!r} is not a valid experiment name", hint="letters, digits, - and _: my-arm"
+        )
     if path.exists():
         raise RequestError(f"{path} is there already", hint="take another name, or remove it")
     text = template(path.stem, devices, kind)
@@ -166,7 +168,7 @@ def _bench(devices: Sequence[str]) -> _Bench:
     for plugin in devices:
         if ":" not in plugin and plugin not in known:
             raise RequestError(
-                f"there is no device plugin {plugin!r}", hint=suggest(plugin, known, kind="installed")
+                f"unknown device plugin {plugin!r}", hint=suggest(plugin, known, kind="installed")
             )
         settings = getattr(registry.load("labrun.devices", plugin), "Settings", None)
         keys: str = getattr(settings, "example", "")

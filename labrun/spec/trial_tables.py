@@ -302,14 +302,12 @@ class Criterion:
 
         plain = _SUMMARY.sub(taken, text)
         if half := re.search(r"\bmedian\b|\bmean\b|\b(first|last)\s+\d", plain):
-            hint = (
-                f"{text[half.start() :][:20]!r} is no summary of cycles; write for example median(first 100)"
-            )
+            hint = f"{text[half.start() :][:20]!r} is not a summary of cycles; write for example median(first 100)"
             raise ExpressionError(text, hint, half.start())
         expression = Expression.of(plain)
         if not expression.is_comparison:
             raise ExpressionError(
-                text, 'is no comparison; write for example "peak < 0.2 * median(first 100)"'
+                text, 'is not a comparison; write for example "peak < 0.2 * median(first 100)"'
             )
         return cls(text, expression, summaries)
 
@@ -377,7 +375,7 @@ def check_until(data: Mapping[str, Any]) -> Iterator[Fault]:
             "a trial with until has no end that a travel could have; remove this table, or trial.until",
         )
     if trial.get("on_fault", "stop") != "stop":
-        text = 'a trial with until needs "stop", so that labrun resume goes on with the same cycles'
+        text = 'a trial with until needs "stop", so that labrun resume continues with the same cycles'
         yield Fault(("trial", "on_fault"), text, at_value=True)
     if data.get("kind") == "track":
         yield Fault(("trial", "until"), "a closed loop needs cycles or duration_s in place of until")

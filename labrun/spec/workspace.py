@@ -79,7 +79,7 @@ def find_experiment(name_or_path: str, workspace: Path) -> Path:
                 return path
         if len(given.parts) > 1:
             raise RequestError(
-                f"there is no file or folder {given}",
+                f"cannot find the file or folder {given}",
                 hint="labrun list shows the experiments, runs and recordings there are",
             )
     name = given.name.removesuffix(".toml")
@@ -88,7 +88,7 @@ def find_experiment(name_or_path: str, workspace: Path) -> Path:
         if path.is_file():
             return path
     names = [path.stem for path in list_experiments(workspace)]
-    raise RequestError(f'there is no experiment "{name}"', hint=suggest(name, names, kind="experiments"))
+    raise RequestError(f'unknown experiment "{name}"', hint=suggest(name, names, kind="experiments"))
 
 
 def find_model_file(name: str, experiment: Path | None, workspace: Path) -> Path | None:

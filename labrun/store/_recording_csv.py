@@ -129,7 +129,7 @@ def _row_faults(path: Path, lines: Sequence[str], header: Sequence[str], wanted:
         note(
             "short",
             name,
-            f"{path}:{end + 1}: column {name!r} ends after line {end}; the file goes on to line {len(lines)}",
+            f"{path}:{end + 1}: column {name!r} ends after line {end}; the file continues to line {len(lines)}",
         )
     previous, previous_line = -math.inf, 0
     for number, line in enumerate(lines[1:], start=2):
@@ -189,8 +189,8 @@ def _number(cell: str) -> tuple[float, str]:
     try:
         value = float(text)
     except ValueError:
-        return math.nan, f"{text!r} is no number"
+        return math.nan, f"{text!r} is not a number"
     # float() also takes "1_000", which no instrument writes and loadtxt refuses
     if "_" in text:
-        return math.nan, f"{text!r} is no number"
+        return math.nan, f"{text!r} is not a number"
     return value, "" if math.isfinite(value) else f"{text!r} is not finite"

@@ -173,7 +173,7 @@ def inaccessible(path: Path, error: BaseException) -> InaccessibleError | None:
         errno.EMFILE: "close other files, or raise the limit: ulimit -n",
         errno.ENOENT: "see whether it was moved, or whether its disk is mounted",
         errno.EIO: "the disk or the network did not deliver it: look at the system's log (dmesg)",
-        errno.ESTALE: "its network folder was exported anew: mount it again",
+        errno.ESTALE: "its network folder was exported again; mount it again",
     }
     return InaccessibleError(
         f"{path} cannot be opened: {os.strerror(error.errno)}",

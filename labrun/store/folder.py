@@ -132,7 +132,7 @@ class RunFolder:
         """
         if not (path / SPEC).is_file():
             raise RecordingError(
-                f"{path} is no run folder: it has no {SPEC}",
+                f"{path} is not a run folder: it lacks {SPEC}",
                 hint="a run folder is results/<experiment>/<start>-<letters>; labrun list shows what there is",
             )
         folder = cls(path)

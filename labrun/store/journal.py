@@ -150,7 +150,7 @@ def parse_events(content: bytes, source: str) -> list[dict[str, Any]]:
         if event is None:
             raise RecordingError(
                 f"{source}:{number}: not a journal event: {line[:60]!r}",
-                hint="later lines are whole, so this is no power cut: restore the journal from a copy; "
+                hint="later lines are whole, so this is not a power cut: restore the journal from a copy; "
                 "the trials themselves are in trials/ or run.h5",
             )
         events.append(event)

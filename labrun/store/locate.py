@@ -38,7 +38,7 @@ def find_run(target: str | Path | None, results: Path) -> Path:
         runs = all_runs(results)
         if not runs:
             raise RequestError(
-                f"there is no run yet in {results}",
+                f"no run yet in {results}",
                 hint="labrun run hinge --dry-run makes one; labrun list shows more",
             )
         return runs[-1]
@@ -160,7 +160,7 @@ def _unknown(target: str, results: Path) -> RequestError:
     else:
         hint = f"{results} has no runs yet; labrun list shows the experiments"
     return RequestError(
-        f"there is no run {target!r}: no such path, and no such experiment or run in {results}", hint=hint
+        f"cannot find the run {target!r}: no such path, and no such experiment or run in {results}", hint=hint
     )
 
 

@@ -165,11 +165,11 @@ def open_run(target: Path) -> Run:
         if (target / PACKED).is_file():
             return _open_packed(target / PACKED)
         raise RecordingError(
-            f"{target} is no run folder: it has neither {SPEC} nor {PACKED}",
+            f"{target} is not a run folder: it has neither {SPEC} nor {PACKED}",
             hint="a run folder is results/<experiment>/<start>-<letters>",
         )
     if not target.is_file():
-        raise RecordingError(f"there is no run {target}", hint="labrun list shows the runs there are")
+        raise RecordingError(f"cannot find the run {target}", hint="labrun list shows the runs there are")
     sibling = target.parent / SPEC
     if target.name == PACKED and sibling.is_file():
         packed = _open_packed(target)

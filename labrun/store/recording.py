@@ -87,9 +87,7 @@ class _File(Table):
                 message = "no channels; expected a table [channels.NAME] for each column of the CSV files"
                 faults.add("channels", message)
             elif all(channel.kind == "input" for channel in self.channels.values()):
-                faults.add(
-                    "channels", 'no channel has kind = "output": there is nothing to compare a model with'
-                )
+                faults.add("channels", 'no channel has kind = "output": nothing to compare a model with')
             outputs = {name: channel for name, channel in self.channels.items() if channel.kind == "output"}
             silent = [name for name, output in outputs.items() if output.reading_error is None]
             if 0 < len(silent) < len(outputs):

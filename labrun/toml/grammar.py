@@ -189,7 +189,7 @@ def _syntax_message(error: SyntaxError) -> str:
         return "it is nested too deeply"
     if not error.offset:
         return "something is missing behind this"
-    return "it does not go on as an expression would; is an operator missing?"
+    return "the expression does not continue here; is an operator missing?"
 
 
 class _Checker:
@@ -264,7 +264,7 @@ class _Checker:
         name = called.id
         if name not in FUNCTIONS:
             hint = suggest(name, sorted(FUNCTIONS), kind="functions")
-            raise self._error(f"there is no function {name!r}", node, hint)
+            raise self._error(f"unknown function {name!r}", node, hint)
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
             raise self._error(f"{name} takes plain values", node)
         count, function = len(node.args), FUNCTIONS[name]

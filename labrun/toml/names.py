@@ -35,7 +35,7 @@ def suggest(name: str, known: Iterable[str], *, kind: str = "known names") -> st
     if near is not None:
         return f'did you mean "{near}"?'
     if not candidates:
-        return "none is installed" if kind == "installed" else f"there are no {kind} here"
+        return "none is installed" if kind == "installed" else f"no {kind} are known here"
     shown = ", ".join(candidates[:12]) + (", ..." if len(candidates) > 12 else "")
     return f"{kind}: {shown}"
 

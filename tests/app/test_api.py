@@ -45,7 +45,7 @@ def test_the_latest_run_is_reported_where_nobody_names_one(run):
 
 
 def test_without_any_run_it_says_how_to_make_one(tmp_path):
-    with pytest.raises(RequestError, match="there is no run yet") as raised:
+    with pytest.raises(RequestError, match="no run yet") as raised:
         labrun.report(results=tmp_path)
     assert "--dry-run" in str(raised.value.hint)
 
@@ -97,7 +97,7 @@ def test_a_recording_is_opened_by_its_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     recording = labrun.open("table-7-2")
     assert recording.path.name == "table-7-2"
-    with pytest.raises(RequestError, match="there is no run 'table-7-3x'") as raised:
+    with pytest.raises(RequestError, match="cannot find the run 'table-7-3x'") as raised:
         labrun.open("table-7-3x")
     assert "did you mean the recording" in str(raised.value.hint)
 

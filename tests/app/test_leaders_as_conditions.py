@@ -103,7 +103,7 @@ def test_leaders_are_numbered_best_first_and_the_run_is_named_in_the_stored_file
 
 
 def test_a_plan_is_checked_before_there_is_a_run(bench, tmp_path):
-    with pytest.raises(RequestError, match="there is no run of it"):
+    with pytest.raises(RequestError, match="which has no run in"):
         bench("field")
     assert check(tmp_path).trials == 4 * 2 * 2
 
@@ -123,7 +123,7 @@ def test_a_resumed_run_keeps_the_leaders_it_began_with(bench):
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        (lambda text: text.replace("count = 4", "count = 5"), "has 4 conditions .* 5 leaders are wanted"),
+        (lambda text: text.replace("count = 4", "count = 5"), "has 4 conditions .* 5 leaders are required"),
         (lambda text: text.replace('plugin = "sine"', 'plugin = "formula"').replace(
             'amplitude_deg = "a", frequency_hz = "f"', 'angle_deg = "a * sin(f * t)"').replace(
             "cycles = 2", "duration_s = 2").replace('"cycle-mean"', '"mean"'), "is of another rig"),
@@ -140,7 +140,7 @@ def test_leaders_that_will_not_do_are_told_before_anything_moves(bench, tmp_path
 
 def test_a_run_that_did_not_finish_has_no_leaders(bench):
     part = bench("lab", limit=3)
-    with pytest.raises(RequestError, match="did not come to its end"):
+    with pytest.raises(RequestError, match="has not finished"):
         leaders_of(part.run, 2)
 
 

@@ -203,7 +203,7 @@ def test_a_tool_does_not_run_on_a_cluster(checked: Checked) -> None:
 
 def test_a_folder_of_another_check_is_refused(checked: Checked) -> None:
     with pytest.raises(
-        RequestError, match="2 cases of seed 5, from case 33; asked for is one of 2 cases of seed 9"
+        RequestError, match="2 cases of seed 5, from case 33; requested is one of 2 cases of seed 9"
     ):
         check(cases=2, seed=9, first=33, workers=1, out=checked.folder, announce=silent)
 

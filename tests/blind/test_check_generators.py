@@ -23,6 +23,6 @@ def test_what_a_failing_generator_said_is_told(tmp_path: Path) -> None:
 
 def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(RequestError, match="holds something else"):
+    with pytest.raises(RequestError, match="is not a check"):
         check(cases=1, seed=1, workers=1, out=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]

@@ -108,7 +108,7 @@ def test_a_check_begun_before_kinds_could_be_asked_for_goes_on_as_one_of_the_mix
     (tmp_path / "asked.json").write_text(json.dumps({"cases": 1, "seed": 7, "first": 1, "seal": "ab"}))
     folder = CheckFolder(tmp_path)
     assert folder.ask({"cases": 1, "seed": 7, "first": 1, "only": None}) == "ab"
-    with pytest.raises(RequestError, match=r"asked for is one of 1 cases \(only pair\)"):
+    with pytest.raises(RequestError, match=r"requested is one of 1 cases \(only pair\)"):
         folder.ask({"cases": 1, "seed": 7, "first": 1, "only": "pair"})
 
 
@@ -174,7 +174,7 @@ def test_kinds_are_those_of_the_generator_and_may_be_said_in_the_plural() -> Non
 
 
 def test_a_kind_with_a_typo_is_told_the_nearest_before_anything_is_made(tmp_path: Path) -> None:
-    with pytest.raises(RequestError, match="no kind of case 'contrlo'") as caught:
+    with pytest.raises(RequestError, match="unknown kind of case 'contrlo'") as caught:
         check(only="contrlo", out=tmp_path / "out")
     assert 'did you mean "control"?' in str(caught.value.hint)
     assert not (tmp_path / "out").exists()

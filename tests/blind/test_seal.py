@@ -200,7 +200,7 @@ def test_that_nothing_is_hidden_is_an_answer_too(tmp_path):
 
 
 def test_what_is_no_run_has_no_seal(tmp_path):
-    with pytest.raises(RecordingError, match="no run folder"):
+    with pytest.raises(RecordingError, match="not a run folder"):
         reveal(tmp_path)
 
 

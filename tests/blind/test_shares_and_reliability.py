@@ -67,5 +67,5 @@ def test_certainties_leave_nothing_to_chance() -> None:
 
 
 def test_a_confidence_beyond_one_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"1\.2 is no probability"):
+    with pytest.raises(ValueError, match=r"1\.2 is not a probability"):
         reliability([(1.2, True)])

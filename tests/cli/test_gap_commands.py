@@ -48,7 +48,7 @@ def test_a_place_that_cannot_hold_the_corrected_model_is_told_before_computing(t
     (folder / "recording.toml").write_text("")
     done = typed("diagnose", folder, "--save-model", tmp_path / "nowhere" / "corrected.toml")
     assert done.exit_code == 2
-    assert "there is no folder" in done.stderr
+    assert "cannot find the folder" in done.stderr
 
 
 def test_completion_offers_effects():

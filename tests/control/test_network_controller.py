@@ -119,7 +119,7 @@ def test_a_learner_in_simulated_time_gives_its_weights_as_late_as_it_is_told():
 @pytest.mark.filterwarnings("ignore:overflow encountered")
 def test_weights_that_are_no_numbers_are_not_taken():
     learner = InlineLearner(LearnerTask(affine(np.zeros((2, 2))), 100, 1e-9), 0.01)
-    learner.give(0.0, [1e200, 0.0], [0.0, 0.0])  # its square is no number any more
+    learner.give(0.0, [1e200, 0.0], [0.0, 0.0])  # its square is not a number any more
     learner.newest(0.0)
     assert learner.newest(0.02) is None
     assert (learner.alive, learner.trainings) == (False, 0)

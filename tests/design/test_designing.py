@@ -183,7 +183,7 @@ def test_a_candidate_that_cannot_be_simulated_costs_a_violation_and_ends_nothing
     [
         ("parameters.length", "parameters.lenght", "design.parameters.lenght: model paddle has no such name"),
         ("peak_load", "peak_laod", 'peak_laod is of no channel'),
-        ("joints.angle", "joints.angel", "the model's input angle is no joint of the gait"),
+        ("joints.angle", "joints.angel", "the model's input angle is not a joint of the gait"),
     ],
 )  # fmt: skip
 def test_names_that_the_model_does_not_have_are_told_with_the_nearest(paddle, old, new, message):

@@ -40,9 +40,9 @@ def test_the_promise_is_held_against_the_rig_whichever_is_named_first(designed):
 @pytest.mark.parametrize(
     ("first", "other", "message"),
     [
-        ("design:paddle", "paddle", "one run is the design's, one the rig's"),
-        ("design:paddle", None, "one run is the design's, one the rig's"),
-        ("design:measured", "rig:paddle", "is no design"),
+        ("design:paddle", "paddle", "expected one run of a design and one of a rig"),
+        ("design:paddle", None, "expected one run of a design and one of a rig"),
+        ("design:measured", "rig:paddle", "is not a design"),
     ],
 )
 def test_a_role_that_does_not_fit_is_told(designed, first, other, message):

@@ -70,7 +70,7 @@ def test_what_a_program_before_left_in_the_input_is_gone_after_opening(far_end):
 
 def test_a_port_that_is_not_there_is_named_with_the_next_thing_to_try(tmp_path):
     port = SerialPort("wrench", str(tmp_path / "ttyUSB9"), 19_200)
-    with pytest.raises(DeviceError, match=r"device wrench: there is no port .*ttyUSB9\n  plug it in"):
+    with pytest.raises(DeviceError, match=r"device wrench: cannot find the port .*ttyUSB9\n  plug it in"):
         port.open()
 
 

@@ -24,7 +24,7 @@ EVERY = [pytest.param(effect, id=f"{effect.kind}-{effect.id}") for effect in eff
 
 def test_the_page_is_what_the_installed_effects_make_of_it():
     text = page.PAGE.read_text(encoding="utf-8")
-    assert page.page(text) == text, "python docs/hooks/effects_page.py writes it anew"
+    assert page.page(text) == text, "python docs/hooks/effects_page.py writes it again"
 
 
 def test_there_is_a_picture_for_every_effect_and_no_other():

@@ -63,7 +63,7 @@ def test_every_table_of_the_file_is_explained_key_by_key():
 def test_the_page_of_keys_is_what_the_models_make_of_it():
     keys = _keys()
     text = keys.PAGE.read_text(encoding="utf-8")
-    assert keys.page(text) == text, "python docs/hooks/keys.py writes it anew"
+    assert keys.page(text) == text, "python docs/hooks/keys.py writes it again"
 
 
 def test_a_key_without_a_word_is_an_error(monkeypatch):

@@ -63,9 +63,9 @@ def test_a_model_saved_with_it_names_its_file(file):
         (
             'z = "(q - z)/0.1"',
             'z = "(q - zz)/0.1"',
-            r"friction.toml:9:\d+: stiction.states.z .* there is no 'zz'",
+            r"friction.toml:9:\d+: stiction.states.z .* unknown name 'zz'",
         ),
-        ("tanh(rate/speed)", "tanh(rat/speed)", r"stiction.F .* there is no 'rat'; did you mean \"rate\""),
+        ("tanh(rate/speed)", "tanh(rat/speed)", r"stiction.F .* unknown name 'rat'; did you mean \"rate\""),
         ("tanh(rate/speed)", "tanh(rate/speed", r"stiction.F .*never closed"),
         (
             'kind   = "joint"',

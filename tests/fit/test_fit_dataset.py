@@ -109,7 +109,7 @@ def test_an_imported_recording_gives_the_same_data(recording: Path, model: Model
 
 def test_signals_rename_channels(recording: Path) -> None:
     other = parse_model(MODEL.replace("angle", "tilt"), "arm.toml")
-    with pytest.raises(RequestError, match="output 'tilt' is no output channel"):
+    with pytest.raises(RequestError, match="output 'tilt' is not an output channel"):
         load_dataset(recording, other)
     dataset = load_dataset(recording, other, {"tilt": "angle"})
     assert dataset.outputs[0].name == "tilt"

@@ -134,7 +134,7 @@ def test_a_recording_without_a_model_says_how_to_name_one(recording: Path, tmp_p
 
 
 def test_a_target_that_is_not_there_and_a_method_unknown_are_refused(recording: Path, tmp_path: Path) -> None:
-    with pytest.raises(RequestError, match="there is no run"):
+    with pytest.raises(RequestError, match="cannot find the run"):
         fit(tmp_path / "nothing")
     with pytest.raises(RequestError, match="unknown fit plugin"):
         fit(recording, method="spline")
@@ -162,5 +162,5 @@ def test_numbers_are_printed_with_the_digits_their_interval_supports(
 def test_a_name_that_is_neither_fit_nor_model_is_told_both(
     recording: Path, tmp_path: Path, name: str, message: str
 ) -> None:
-    with pytest.raises(RequestError, match=rf"no fit or model '{name}'\n.*{message}"):
+    with pytest.raises(RequestError, match=rf"unknown fit or model '{name}'\n.*{message}"):
         fit(recording, model=name, results=tmp_path)

@@ -133,7 +133,7 @@ def recorded(folder, *, trials=2, first=0):
 def test_a_file_is_tested_beside_its_origin_but_not_on_the_data_it_was_fitted_to(corrected, tmp_path):
     file = predict_file(corrected, recorded(tmp_path / "fresh", trials=4, first=2), horizons_s=(0.5,))
     assert file.predictions[0].ratio.high > 1.0  # 0.9 is farther from the truth than 0.8
-    with pytest.raises(RequestError, match="was corrected by"):
+    with pytest.raises(RequestError, match="was fitted to"):
         predict_file(corrected, recorded(tmp_path / "run"))
     with pytest.raises(RequestError, match=r"copy holds 2 trials, which .* was corrected by"):
         predict_file(corrected, recorded(tmp_path / "copy"))

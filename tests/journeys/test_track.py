@@ -144,7 +144,7 @@ def test_a_fitted_model_file_beside_the_experiment_is_used_and_stored(labrun, tm
     path.write_text(path.read_text().replace(inline, 'model = "fopdt.toml"'))
     missing = labrun("check", "force-control")
     assert missing.code == 2
-    assert 'there is no file "fopdt.toml"' in missing.err
+    assert 'cannot find the file "fopdt.toml"' in missing.err
     (path.parent / "fopdt.toml").write_text("gain = 0.008\nlag_s = 0.3\ndead_s = 0.25\n")
     done = labrun("track", "force-control", "--dry-run", "--seed", "1", "--limit", "1", "--json", *SHORT)
     assert done.code == 0, done.err

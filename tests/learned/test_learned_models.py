@@ -52,7 +52,7 @@ def test_exact_affine_is_what_least_squares_says_without_any_scaling():
 def test_a_network_with_identity_activation_is_one_affine_layer_however_deep():
     x, _ = data()
     np.testing.assert_allclose(deep().collapsed()(x), deep()(x), atol=1e-9)
-    with pytest.raises(ValueError, match="no affine map"):
+    with pytest.raises(ValueError, match="not an affine map"):
         Network(deep().weights, deep().biases, "tanh", deep().inputs, deep().outputs).collapsed()
 
 

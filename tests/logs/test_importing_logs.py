@@ -90,7 +90,7 @@ def test_joints_of_other_names_are_proposed_and_mapped_with_what_they_are_told(t
 
 def test_a_log_that_is_not_there_is_told_with_the_one_that_is_called_alike(tmp_path, arm):
     log = logs.write_csv(tmp_path / "log.csv", *logs.motion())
-    with pytest.raises(RequestError, match=r"there is no log .*lgo\.csv") as refused:
+    with pytest.raises(RequestError, match=r"cannot find the log .*lgo\.csv") as refused:
         import_log(tmp_path / "lgo.csv", arm, tmp_path / "recording")
     assert str(log) in str(refused.value.hint)
 

@@ -130,7 +130,7 @@ def test_a_site_may_have_a_spring_that_is_an_expression_of_parameters(tmp_path):
         0.0, model.initial_state({}), np.zeros(1), model.vector(None, {}), np.zeros(2), course
     )
     assert course[3] == 6.0
-    with pytest.raises(ModelError, match="there is no parameter 'kk'"):
+    with pytest.raises(ModelError, match="unknown parameter 'kk'"):
         four_bar(tmp_path, table.replace("left = {}", 'left = { stiffness = "3*kk" }'), stiff)
 
 

@@ -20,14 +20,17 @@ def test_a_broken_mujoco_gives_the_line_that_installs_it_again(tmp_path, monkeyp
 
 FAULTS = {
     ('mujoco = "arm.xml"', 'mujoco = "leg.xml"'): (
-        "arm.toml:3:.*: mujoco = .*there is no MJCF file",
+        "arm.toml:3:.*: mujoco = .*cannot find the MJCF file",
         "counted from",
     ),
     ('"joint.hinge.position"', '"joint.hing.position"'): (
         "arm.toml:5:.*: states.angle = .* no joint 'hing'",
         '"hinge"',
     ),
-    ('rate  = "joint.hinge.velocity"', 'rate = "joint.hinge.acceleration"'): ("states.rate.*is no state", ""),
+    ('rate  = "joint.hinge.velocity"', 'rate = "joint.hinge.acceleration"'): (
+        "states.rate.*is not a state",
+        "",
+    ),
     ('"joint.hinge.velocity"', '"joint.hinge.speed"'): (
         "arm.toml:6:.*: states.rate = .* no 'speed'",
         "velocity",
@@ -42,10 +45,10 @@ FAULTS = {
         '"mass"',
     ),
     ('"body.arm.mass"', '"body.arm.inertia"'): ("body.arm.inertia has 3 numbers", r"inertia\[0\] to"),
-    ('"body.arm.mass"', '"body.arm.inertia[3]"'): (r"none at \[3\]", ""),
+    ('"body.arm.mass"', '"body.arm.inertia[3]"'): (r"\[3\] is out of range", ""),
     ('"body.arm.mass"', '"joint.hinge.damping"'): ("arm.toml:12:.*: .*line 10 sets the same number", ""),
-    ('"body.arm.mass"', '"actuator.motor.kp"'): ("no position servo", r"gainprm\[0\]"),
-    ('"body.arm.mass"', '"option.gravty[2]"'): ("no option 'gravty'", '"gravity"'),
+    ('"body.arm.mass"', '"actuator.motor.kp"'): ("not a position servo", r"gainprm\[0\]"),
+    ('"body.arm.mass"', '"option.gravty[2]"'): ("unknown option 'gravty'", '"gravity"'),
     ('{ mjcf = "body.arm.mass", tolerance', "{ value = 1.0, tolerance"): (None, ""),
     ('"actuator.motor.force"', '"actuator.motor.power"'): (
         "arm.toml:15:.*: outputs.torque.*'power'",
@@ -58,7 +61,7 @@ FAULTS = {
         'did you mean "hinge"',
     ),
     ('stiffness = "stiffness"', 'stiffness = "stifness"'): (
-        "arm.toml:18:.*: .*no parameter 'stifness'",
+        "arm.toml:18:.*: .*unknown parameter 'stifness'",
         '"stiffness"',
     ),
     ("[outputs]", '[mjcf]\n"geom.x.friction" = "mass"\n[outputs]'): (
@@ -78,7 +81,7 @@ FAULTS = {
         "",
     ),
     ("[outputs]", "[equations]\n[outputs]"): ("arm.toml:13:.*: equations: unknown key", ""),
-    ('angle = "first"', 'angel = "first"'): ("initial.angel = .*there is no state", '"angle"'),
+    ('angle = "first"', 'angel = "first"'): ("initial.angel = .*unknown state", '"angle"'),
 }
 
 
@@ -109,7 +112,7 @@ def test_a_fault_in_the_mjcf_file_is_told(change, tmp_path):
 
 def test_a_site_is_at_a_joint_with_one_coordinate(tmp_path):
     table = 'name="b"\nmujoco="arm.xml"\n[outputs]\nw="joint.hinge.wx"\n[sites.hinge]\n'
-    with pytest.raises(ModelError, match="no one coordinate"):
+    with pytest.raises(ModelError, match="no single coordinate"):
         load(tmp_path, table, BALL)
 
 

@@ -65,7 +65,7 @@ def test_a_function_that_makes_a_model_is_a_source():
 
 
 def test_a_site_in_unknown_names_is_an_error():
-    with pytest.raises(ModelError, match="rate = 'spede': there is no 'spede'"):
+    with pytest.raises(ModelError, match="rate = 'spede': unknown name 'spede'"):
         python_model(
             "m", derivative=derivative, output=output, states=["angle", "speed"], outputs=["y"],
             sites=[Site("hinge", "joint", "angle", "spede")],

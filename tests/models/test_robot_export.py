@@ -199,7 +199,7 @@ def test_a_model_of_equations_has_no_mjcf(tmp_path):
     (tmp_path / "a.toml").write_text(
         'name = "a"\nstates = ["x"]\n[equations]\nx = "-x"\n[outputs]\nx = "x"\n'
     )
-    with pytest.raises(ModelError, match="no model in MuJoCo"):
+    with pytest.raises(ModelError, match="not a model in MuJoCo"):
         mjcf_of(load_model(tmp_path / "a.toml"))
 
 

@@ -25,7 +25,7 @@ def test_a_sensor_that_stops_answering_ends_the_run_by_name_with_its_data_kept(l
 
 def test_nonsense_is_an_error_that_names_channel_and_value(lab):
     lab = lab(rig__devices__cell__nan_after_s=20.0)
-    with pytest.raises(NonsenseError, match="device cell: answered nonsense: force_x = nan N"):
+    with pytest.raises(NonsenseError, match="device cell: sent an implausible value: force_x = nan N"):
         lab.session.measure(TWO)
 
 
@@ -130,7 +130,7 @@ def test_a_carriage_that_does_not_arrive_is_an_error_with_its_position(lab):
         trial__carriage={"device": "sledge", "speed_m_s": 0.1, "from_m": 0.0, "to_m": 0.9},
     )
     with pytest.raises(
-        DeviceError, match=r"device sledge: did not arrive: it stands at 0.2 m, 0 m was asked for"
+        DeviceError, match=r"device sledge: did not arrive: it stands at 0.2 m, 0 m was commanded"
     ):
         lab.session.measure(ONE)
 
@@ -171,7 +171,9 @@ def test_a_driver_that_is_not_installed_is_named_with_its_port_and_the_way_round
     experiment = experiment_with(
         rig__devices__tail={"plugin": "servo", "port": "/dev/ttyACM0"},
     )
-    with pytest.raises(RequestError, match="device tail at /dev/ttyACM0: no driver 'servo'") as caught:
+    with pytest.raises(
+        RequestError, match="device tail at /dev/ttyACM0: driver 'servo' is not installed"
+    ) as caught:
         Rig.build(experiment, clock=RealClock(), seed=1, dry_run=False)
     assert "--dry-run works without it" in str(caught.value)
 

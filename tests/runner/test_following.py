@@ -15,9 +15,7 @@ ENCODER = {**SHORT, "rig__devices__tail__plugin": "pond:EncoderServo"}
 
 def test_a_device_that_restarts_during_the_last_trial_fails_it_and_the_run(lab):
     lab = lab(**SHORT, rig__devices__tail__restarts_after_s=1.5)
-    with pytest.raises(
-        DeviceError, match="device tail: says it is not well: it restarted, its torque is off"
-    ):
+    with pytest.raises(DeviceError, match="device tail: reports a fault: it restarted, its torque is off"):
         lab.session.measure(CONDITION)
     (outcome,) = lab.folder.outcomes().values()
     assert outcome.status == "failed"

@@ -70,7 +70,7 @@ def test_a_person_is_asked_once_per_change_and_every_specimen_is_mounted_as_ofte
 def test_a_specimen_mounted_twice_in_a_row_is_taken_out_in_between(bench):
     person = AtTheBench()
     bench(person).session.measure([CONDITIONS[0]])
-    assert person.asked[1].startswith("Take it out, and then anew: Mount p1 (mounting 2 of 2)")
+    assert person.asked[1].startswith("Take it out and mount it again: Mount p1 (mounting 2 of 2)")
 
 
 def test_a_wrong_mounting_is_taken_back_measured_anew_and_kept(bench):
@@ -96,9 +96,9 @@ def test_even_the_last_mounting_and_any_one_by_its_number_can_be_taken_back(benc
 @pytest.mark.parametrize(
     ("answer", "complaint"),
     [
-        ("back", "nothing was mounted before that could be taken back"),
-        ("p7", "'p7' is no answer"),
-        ("back 9", "there is no mounting 9 to go back to; there are 1"),
+        ("back", "no earlier mounting can be taken back"),
+        ("p7", "'p7' is not an answer"),
+        ("back 9", "unknown mounting 9; mountings so far: 1"),
     ],
 )
 def test_an_answer_that_cannot_be_meant_is_asked_again_with_the_reason(bench, answer, complaint):

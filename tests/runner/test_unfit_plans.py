@@ -21,7 +21,7 @@ def test_a_gait_that_is_not_a_number_is_a_plan_error_naming_gait_and_condition(g
         with pytest.raises(PlanError) as caught:
             check()
         text = str(caught.value)
-        assert text.startswith(f'a = 10, f = 1: gait "bad_gaits:{gait}" gives no motion: ')
+        assert text.startswith(f'a = 10, f = 1: gait "bad_gaits:{gait}" computes no motion: ')
         assert why in text
 
 

@@ -86,7 +86,7 @@ def winner(level, value, ci95):
 
 
 @pytest.mark.parametrize(
-    ("interval", "words"), [((1.0, 2.0), "not told apart from m = b"), ((0.1, 0.3), "stands apart")]
+    ("interval", "words"), [((1.0, 2.0), "not distinguishable from m = b"), ((0.1, 0.3), "stands apart")]
 )
 def test_winners_whose_intervals_overlap_are_not_told_apart(interval, words):
     lines = winner_lines([winner("a", 3.0, (1.9, 4.1)), winner("b", 1.0, interval)], [{"m": "a"}, {"m": "b"}])

@@ -53,7 +53,7 @@ def test_the_person_is_told_the_values():
         ),
         ("[trial]", "[damage]\n[trial]", "needs when, broken, or both"),
         ("[trial]", "[damage]\nwhen = 'w > 1'\n[trial]", 'unknown name "w"'),
-        ("[trial]", "[damage]\nwhen = 'v + 1'\n[trial]", "is no comparison"),
+        ("[trial]", "[damage]\nwhen = 'v + 1'\n[trial]", "is not a comparison"),
         ("[trial]", "[damage]\nof = ['fin']\nwhen = 'v > 1'\n[trial]", "no condition has this name"),
     ],
 )

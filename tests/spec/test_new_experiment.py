@@ -43,7 +43,7 @@ def test_two_devices_of_a_kind_get_names_of_their_own(tmp_path):
         ("a", ["arduino-servo"], "track", "measured"),
         ("a", ["arduino-servo"], "cmaes", "sensor"),
         ("a", ["dynamixel", "dynamixel"], "run", "joint_1"),
-        ("../a", ["dynamixel"], "run", "no name"),
+        ("../a", ["dynamixel"], "run", "not a valid experiment name"),
         ("there", ["dynamixel"], "run", "there already"),
     ],
 )

@@ -369,7 +369,7 @@ def test_a_message_names_the_key_and_what_is_allowed_there(problems, old, new, k
 
 
 def test_nothing_to_choose_from_is_said_in_the_plural():
-    assert suggest("x", [], kind="carriages") == "there are no carriages here"
+    assert suggest("x", [], kind="carriages") == "no carriages are known here"
 
 
 @pytest.mark.parametrize(

@@ -41,11 +41,11 @@ def test_summaries_of_the_last_cycles_of_another_objective_and_the_number_of_cyc
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("peak", "is no comparison"),
+        ("peak", "is not a comparison"),
         ("median(first 3) < 1", "does not name its objective; write median(peak, first 3)"),
         ("peak < median(work, first 0)", "covers no cycle"),
-        ("peak < median(first)", "is no summary of cycles; write for example median(first 100)"),
-        ("peak < open(3)", "there is no function"),
+        ("peak < median(first)", "is not a summary of cycles; write for example median(first 100)"),
+        ("peak < open(3)", "unknown function"),
     ],
 )
 def test_what_is_no_condition_is_said(text, complaint):
@@ -61,7 +61,7 @@ def test_what_is_no_condition_is_said(text, complaint):
         ("max_cycles = 50000", "max_cycles = 50", "and would never be judged"),
         ("[trial]", "[trial]\ncycles = 5", "the trial has another length already, cycles"),
         ("[trial]", "[trial]\ndiscard_cycles = 5", "a trial with until counts every cycle"),
-        ("[trial]", '[trial]\non_fault = "skip"', "goes on with the same cycles"),
+        ("[trial]", '[trial]\non_fault = "skip"', "continues with the same cycles"),
         (
             "[objectives]",
             '[objectives]\ncycles = { plugin = "pond:Peak" }',

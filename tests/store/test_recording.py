@@ -89,12 +89,12 @@ def test_quoted_cells_are_read(tmp_path: Path) -> None:
         ("time_s,torque,angle\n0,1,1\n0.1,nan,1\n", "a.csv:3: 'nan' is not finite in column 'torque'"),
         ("time_s,torque,angle\n0,1,1\n0.1,1,inf\n", "a.csv:3: 'inf' is not finite in column 'angle'"),
         ("time_s,torque,angle\n0,1,1\n0.1,,1\n0.2,1,1\n", "a.csv:3: a blank cell in column 'torque'"),
-        ("time_s,torque,angle\n0,1,1\n0.1,1,off\n", "a.csv:3: 'off' is no number in column 'angle'"),
-        ("time_s,torque,angle\n0,1,1_0\n", "a.csv:2: '1_0' is no number in column 'angle'"),
+        ("time_s,torque,angle\n0,1,1\n0.1,1,off\n", "a.csv:3: 'off' is not a number in column 'angle'"),
+        ("time_s,torque,angle\n0,1,1_0\n", "a.csv:2: '1_0' is not a number in column 'angle'"),
         ("time_s,torque,angle\n0,1,1\n0.1,1\n", "a.csv:3: a row of 2 cells; the header has 3 columns"),
         ("time_s,torque,angle\n0,1,1\n0.1,1,1,1\n", "a.csv:3: a row of 4 cells; the header has 3 columns"),
         ("time_s,torque,angle\n0,1,1\n\n0.1,1,1\n", "a.csv:3: a blank line"),
-        ("time_s,torque,angle\n0,1,1\n0.1,1,\n0.2,1,\n", "a.csv:3: column 'angle' ends after line 2; the file goes on"),
+        ("time_s,torque,angle\n0,1,1\n0.1,1,\n0.2,1,\n", "a.csv:3: column 'angle' ends after line 2; the file"),
     ],
 )  # fmt: skip
 def test_a_bad_file_is_refused_with_its_line(tmp_path: Path, text: str, expected: str) -> None:
@@ -144,7 +144,7 @@ def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
     for expected in (
         'the key "unit" is missing',
         'unknown key; did you mean "file"?',
-        "a.csv:2: 'x' is no number",
+        "a.csv:2: 'x' is not a number",
         "b.csv:1: column 'angle' is missing",
     ):
         assert expected in message

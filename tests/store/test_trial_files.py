@@ -245,11 +245,11 @@ def test_a_run_is_held_by_one_process_at_a_time(tmp_path):
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path):
-    with pytest.raises(RecordingError, match="no run folder"):
+    with pytest.raises(RecordingError, match="not a run folder"):
         RunFolder.open(tmp_path)
-    with pytest.raises(RecordingError, match="no run folder"):
+    with pytest.raises(RecordingError, match="not a run folder"):
         open_run(tmp_path)
-    with pytest.raises(RecordingError, match="there is no run"):
+    with pytest.raises(RecordingError, match="cannot find the run"):
         open_run(tmp_path / "absent")
 
 

@@ -1,4 +1,4 @@
-"""What runs beside the runner, each in a process of its own: the watchdog, the simulated bench, an emulator."""
+"""Processes that run beside the runner: the watchdog, the simulated bench, emulators."""
 
 import contextlib
 import json
@@ -13,7 +13,7 @@ _PRIORITY_OF_HARDWARE = 5
 
 
 def stand_for_hardware() -> None:
-    """Let this process go before other programs, where there is the right to it: hardware waits for nobody.
+    """Raise the priority of this process, if permitted.
 
     Among what has real-time priority it comes after the runner's threads, beside which it stands on one computer.
     """

@@ -66,7 +66,7 @@ class _Orders:
 
 
 def make_emulator(task: dict[str, Any]) -> tuple[Emulator, EmulatorContext]:
-    """Return the emulator that a task asks for, not yet open, and what it lives in."""
+    """Return the emulator of a task, not yet open, and its environment."""
     clock = RealClock()
     scene = None
     if task["scene"] is not None:
@@ -135,13 +135,13 @@ def main() -> int:
 
 
 def _answer(line: dict[str, Any]) -> None:
-    """Tell the runner; one that was killed meanwhile is noticed by its orders' end."""
+    """Answer the runner; a killed runner is noticed when its orders end."""
     with contextlib.suppress(BrokenPipeError):
         os.write(sys.stdout.fileno(), json.dumps(line).encode() + b"\n")
 
 
 def _tidy_up(context: EmulatorContext) -> None:
-    """Take away what a runner that was killed can no longer: a log nobody asked to keep, and the bench's folder.
+    """Remove what a killed runner left: an unwanted log, and the folder of the bench.
 
     The folder goes with the last one that leaves something in it.
     """

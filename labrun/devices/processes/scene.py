@@ -1,4 +1,4 @@
-"""One simulated bench for all emulators: a process of its own that moves it on, and what stands for it elsewhere.
+"""One simulated bench for all emulators, in a process of its own, and its proxies.
 
 Started as ``python -m labrun.devices.processes.scene`` with one line of JSON on its standard input; answers
 ``ready``. It ends a little after its standard input does.

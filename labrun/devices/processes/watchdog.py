@@ -43,7 +43,7 @@ def load_stoppable(name: str, plugin: str, settings: dict[str, Any]) -> Stoppabl
 
 
 def stop_everything(devices: Sequence[Stoppable], why: str) -> list[str]:
-    """Call every plugin's `emergency_stop`; one that fails does not keep the others from theirs."""
+    """Call `emergency_stop` of every plugin; a failure does not prevent the others."""
     lines = []
     for device in devices:
         try:

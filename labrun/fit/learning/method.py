@@ -252,7 +252,7 @@ def fit_network(samples: TrainingSamples, table: NetworkTable, seed: int) -> Fit
     samples = samples.residual_to(table.inverse)
     network, took_s = train(table.training, *samples.training, seed=seed)
     if not network.finite:
-        raise FitError("the training came to weights that are no finite numbers", hint="try another solver")
+        raise FitError("the training came to weights that are not finite", hint="try another solver")
     x, y = samples.testing
     idle = y - (0.0 if table.inverse else samples.training[1].mean(axis=0))
     errors = {
@@ -284,9 +284,7 @@ def _factor(given: str, wanted: str, name: str) -> float:
     sizes = {item.label: item for item in UNITS.values()}
     first, other = sizes.get(given), sizes.get(wanted)
     if first is None or other is None or first.dimension != other.dimension:
-        raise RequestError(
-            f"{name} is recorded in {given or 'no unit'}, which is no {wanted}", hint="set unit"
-        )
+        raise RequestError(f"{name} is recorded in {given or 'no unit'}, expected {wanted}", hint="set unit")
     return float(first.si / other.si)
 
 

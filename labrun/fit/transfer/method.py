@@ -197,7 +197,7 @@ def warnings_of(fit: TransferFit, name: str) -> list[str]:
         )
     if fit.shape.dead_time and fit.transfer.dead_s < step_s:
         messages.append(
-            f"the dead time is below a sample ({step_s:.2g} s): it cannot be told from none at this rate"
+            f"the dead time is below a sample ({step_s:.2g} s): it is not distinguishable from zero at this rate"
         )
     for pole in fit.transfer.poles:
         slow_s = 1.0 / max(abs(pole), 1e-300)

@@ -93,7 +93,7 @@ def kept(gains: Gains, loop: OpenLoop, wanted: PidFitSettings, factor: float = 1
             return gains
         gains = gains.scaled(_BACK_OFF)
     raise FitError(
-        "no gain was found that keeps the margins that were asked for",
+        "no gain keeps the requested margins",
         hint="ask for a smaller gain_margin or phase_margin_deg",
     )
 

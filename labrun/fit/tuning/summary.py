@@ -149,7 +149,7 @@ def warnings(study: Study) -> list[str]:
             messages.append(
                 f"{design.name} has a gain margin of {margins.gain:.2f} and a phase margin of "
                 f"{margins.phase_deg:.0f} deg: "
-                "SIMC keeps no margin that is asked for; a larger tau_c_s gives more"
+                "SIMC keeps none of the requested margins; a larger tau_c_s gives more"
             )
     messages += _out_of_range(study)
     if study.best is None:
@@ -158,7 +158,7 @@ def warnings(study: Study) -> list[str]:
             "a step, say which it is: reference)"
         )
         messages.append(
-            "no design keeps the margins that were asked for on all plants within the fit's 95 % interval"
+            "no design keeps the requested margins on all plants within the fit's 95 % interval"
             f"{'' if settings.reference else calm}: none is recommended"
         )
     return messages
@@ -183,8 +183,8 @@ def _recommended(study: Study) -> Iterator[str]:
     )
     if design.gains.feedforward is not None:
         yield (
-            "the feed-forward carries the reference, so that the feedback only has to mend what the model "
-            "gets wrong, and there is no arch to wait for until an integral has grown"
+            "the feed-forward carries the reference, so the feedback only corrects the error of the model "
+            "and need not wait for the integral to build up"
         )
     if design.figures.overshoot > MOST_OVERSHOOT:
         yield (

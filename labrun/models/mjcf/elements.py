@@ -136,7 +136,7 @@ class Elements:
         """Return position and velocity index of a hinge or a slide."""
         joint = self._index("joint", name)
         if len(self.joint_quantities(joint)[0]) != 1:
-            raise ReferenceProblem(f"joint {name!r} is a ball or free joint: it has no one coordinate")
+            raise ReferenceProblem(f"joint {name!r} is a ball or free joint: it has no single coordinate")
         return int(self.model.jnt_qposadr[joint]), int(self.model.jnt_dofadr[joint])
 
     def settable(self, text: str) -> tuple[MemoryPlace, ...]:
@@ -240,7 +240,7 @@ class Elements:
         bias = self.model.actuator_biasprm[actuator]
         if self.model.actuator_biastype[actuator] == 0 or bias[1] == 0.0:
             raise ReferenceProblem(
-                f"actuator {name!r} is no position servo, which alone has {gain}",
+                f"actuator {name!r} is not a position servo, which alone has {gain}",
                 f"set actuator.{name}.gainprm[0] or actuator.{name}.biasprm[2]",
             )
         width = self.model.actuator_gainprm.shape[1]
@@ -251,7 +251,7 @@ class Elements:
 
     def _option(self, name: str, index: int | None) -> MemoryPlace:
         if name not in OPTIONS:
-            raise ReferenceProblem(f"there is no option {name!r} to set", suggest(name, list(OPTIONS)))
+            raise ReferenceProblem(f"unknown option {name!r} to set", suggest(name, list(OPTIONS)))
         return MemoryPlace("option", name, _component(f"option.{name}", OPTIONS[name], index, first=False))
 
     def _refuse_balanced(self, body: int, name: str) -> None:
@@ -278,7 +278,7 @@ def _named(kind: str, rest: str, index: int | None) -> tuple[str, str]:
     if not name:
         message = f"{kind}.{rest}" if index is None else f"{kind}.{rest}[{index}]"
         raise ReferenceProblem(
-            f"{message!r} says a name but not what of it", f"write {kind}.{rest}.something"
+            f"{message!r} names an element but no quantity", f"write {kind}.{rest}.something"
         )
     return name, attribute
 
@@ -292,6 +292,6 @@ def _component(message: str, width: int, index: int | None, first: bool) -> int:
         )
     if index >= width:
         raise ReferenceProblem(
-            f"{message} has {width} numbers, so that there is none at [{index}]", "[0] is the first"
+            f"{message} has {width} numbers, so [{index}] is out of range", "[0] is the first"
         )
     return index

@@ -50,7 +50,7 @@ def mjcf_of(model: Model) -> Exported:
     """
     if not isinstance(model, MujocoModel):
         raise ModelError(
-            f"{model.name} is no model in MuJoCo: there is no MJCF to write", hint="see Add a model"
+            f"{model.name} is not a model in MuJoCo, so it has no MJCF to write", hint="see Add a model"
         )
     if model.conditions:
         raise ModelError(
@@ -68,7 +68,7 @@ def mjcf_of(model: Model) -> Exported:
     try:
         spec.copy_back(compiled)
     except ValueError as error:
-        raise ModelError(f"MJCF cannot say a value of {model.name}: {error}") from None
+        raise ModelError(f"MJCF cannot express a value of {model.name}: {error}") from None
     for body in spec.bodies:  # MuJoCo does not copy it back
         share = float(compiled.body_gravcomp[compiled.body(body.name).id])
         body.gravcomp = share if abs(share) > GRAVITY_HELD_AT_LEAST else 0.0
@@ -355,7 +355,7 @@ def mjcf_ranges(model: Model, intervals: Mapping[str, tuple[float, float, float]
     intervals : parameter -> (value, low, high)
     """
     if not isinstance(model, MujocoModel):
-        raise ModelError(f"{model.name} is no model in MuJoCo: there is no MJCF to write")
+        raise ModelError(f"{model.name} is not a model in MuJoCo, so it has no MJCF to write")
     ranges = []
     for name, numbers in intervals.items():
         courses, masses = [], []

@@ -169,7 +169,7 @@ def _compiled(file: ModelFile, name: str) -> Any:
     path = Path(file.name) if inline else Path(file.name).parent / name
     mujoco = imported()
     if not path.is_file() and not inline:
-        file.fail(("mujoco",), f"there is no MJCF file {path}", "its path is counted from this file")
+        file.fail(("mujoco",), f"cannot find the MJCF file {path}", "its path is counted from this file")
     try:
         native = mujoco.MjModel.from_xml_string(name) if inline else _from_path(path)
     except ModelError as error:
@@ -279,7 +279,7 @@ def _check_springs(file: ModelFile, given: MujocoFile) -> None:
         for name in table.stiffness.names:
             if name not in given.parameters:
                 hint = suggest(name, given.parameters)
-                file.note(("sites", site, "stiffness"), f"there is no parameter {name!r}", hint)
+                file.note(("sites", site, "stiffness"), f"unknown parameter {name!r}", hint)
 
 
 def _initial(
@@ -371,7 +371,7 @@ def _rename(
         joint, _, quantity = text.removeprefix("joint.").rpartition(".")
         memory = _resolve(file, ("states", name), partial(elements.moving, joint), quantity)
         if memory is not None and memory not in places:
-            file.note(("states", name), f"{text!r} is no state", "a joint's position or velocity is one")
+            file.note(("states", name), f"{text!r} is not a state", "use a joint's position or velocity")
         elif memory is not None:
             names[places.index(memory)] = name
     twice = {name for name in names if names.count(name) > 1}

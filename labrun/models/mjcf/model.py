@@ -103,7 +103,7 @@ class MujocoModel(Model):
         if len(p) != self.layout.at:  # an address read from the wrong place would end the process
             raise ModelError(
                 f"model {self.name} takes {self.layout.at} parameters and conditions, and now has {len(p)}",
-                hint="in MuJoCo, a model's parameters can get other values but not be others",
+                hint="in MuJoCo, a model's parameters can change their values, not their number",
             )
         # an address has at most 48 bits, and a float64 holds 53 exactly
         return np.append(p, float(plant(self.layout).address))

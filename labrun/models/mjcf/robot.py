@@ -309,7 +309,7 @@ def robot_spec(path: Path) -> tuple[Any, list[str]]:
     if not path.is_file():
         like = model_files_like(path)
         hint = suggest(str(path), like) if like else f"looked from {Path.cwd()}"
-        raise ModelError(f"there is no robot file {path}", hint=hint)
+        raise ModelError(f"cannot find the robot file {path}", hint=hint)
     require_links(path)
     try:
         spec = mujoco.MjSpec.from_file(str(path))

@@ -90,7 +90,7 @@ def check_inertias(spec: Any, path: Path, *, repair: bool) -> list[str]:
         raise ModelError(
             f"{path}: no body can have the inertia of {'; '.join(wrong)}: none of its moments is more than the "
             "other two together, and none is zero or less",
-            hint="look at its units and digits; labrun import --repair goes on with the nearest possible inertia",
+            hint="look at its units and digits; labrun import --repair uses the nearest possible inertia",
         )
     return remarks
 

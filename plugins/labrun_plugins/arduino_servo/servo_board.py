@@ -144,7 +144,7 @@ class ServoBoard:
             self.session.close()
             raise DeviceError(
                 self._device,
-                f"its firmware drives {hello.channels} channels, and {self.channels_needed} are needed",
+                f"its firmware drives {hello.channels} channels, {self.channels_needed} are required",
                 hint="flash labservo with all pins in its table PINS, and give the same pins here",
             )
         if hello.channels > MOST_CHANNELS:

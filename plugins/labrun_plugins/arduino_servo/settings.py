@@ -146,7 +146,7 @@ def channels_of(joints: Mapping[str, Joint], pins: tuple[int, ...]) -> dict[str,
                 f"joint {joint} names no pin, but other joints do; name a pin for each, or for none"
             )
         if pin not in pins:
-            raise ValueError(f"pin {pin} of joint {joint} is none of the firmware's pins {pins}")
+            raise ValueError(f"pin {pin} of joint {joint} is not one of the firmware's pins {pins}")
         other = next((name for name, channel in channels.items() if pins[channel] == pin), None)
         if other is not None:
             raise ValueError(f"joints {other} and {joint} both have pin {pin}; give each a pin of its own")

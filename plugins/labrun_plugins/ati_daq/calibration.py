@@ -76,9 +76,9 @@ def parse(data: bytes) -> Calibration:
     try:
         root = strict_xml.parse(data, MOST_BYTES)
     except strict_xml.XmlRefusedError as error:
-        raise CalibrationError(f"it is no XML of a calibration: {error}") from None
+        raise CalibrationError(f"it is not the XML of a calibration: {error}") from None
     if root.tag.lower() != "ftsensor":
-        raise CalibrationError(f"it begins with <{root.tag[:40]}>, a calibration with <FTSensor>")
+        raise CalibrationError(f"it begins with <{root.tag[:40]}>, expected <FTSensor>")
     calibrations = strict_xml.find_all(root, "Calibration")
     if len(calibrations) != 1:
         raise CalibrationError(f"it holds {len(calibrations)} calibrations, one is expected")
@@ -95,7 +95,7 @@ def parse(data: bytes) -> Calibration:
         raise CalibrationError("a number in it is too large")
     if np.linalg.matrix_rank(matrix / np.maximum(np.abs(matrix).max(axis=1, keepdims=True), 1e-300)) < GAUGES:
         raise CalibrationError(
-            "its six axes do not tell six loads apart: two of them are multiples of each other"
+            "its six axes do not separate six loads: two of them are multiples of each other"
         )
     return Calibration(matrix, maximum, attributes)
 
@@ -114,7 +114,7 @@ def _attributes(root: Element, calibration: Element) -> dict[str, str]:
             value = _attribute(element, name)
             if value is not None:
                 if len(value) > _LONGEST_TEXT or not value.isprintable():
-                    raise CalibrationError(f"{name} is no text of up to {_LONGEST_TEXT} letters")
+                    raise CalibrationError(f"{name} is not a text of up to {_LONGEST_TEXT} letters")
                 attributes[name] = value
     for element in strict_xml.find_all(calibration, "BasicTransform"):
         values = (f"{key} {value[:20]}" for key, value in sorted(element.items()) if value.isprintable())
@@ -137,7 +137,9 @@ def _axes(calibration: Element) -> dict[str, Element]:
     for element in strict_xml.find_all(calibration, "Axis"):
         name = (_attribute(element, "Name") or "").lower()
         if name not in AXES or name in axes:
-            raise CalibrationError(f"axis {name[:20]!r} is given twice, or is none of Fx, Fy, Fz, Tx, Ty, Tz")
+            raise CalibrationError(
+                f"axis {name[:20]!r} is given twice, or is not one of Fx, Fy, Fz, Tx, Ty, Tz"
+            )
         axes[name] = element
     missing = [name.capitalize() for name in AXES if name not in axes]
     if missing:

@@ -82,7 +82,7 @@ class Reception:
         if block.first < self._next:
             raise DeviceError(
                 self._device,
-                f"the card counts its samples anew: {block.first} after {self._next - 1}",
+                f"the card restarted its sample count: {block.first} after {self._next - 1}",
                 hint="it was started a second time; see that no other program uses it",
             )
         lost, self._next = block.first - self._next, block.first + count

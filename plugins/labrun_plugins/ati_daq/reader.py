@@ -233,7 +233,7 @@ class SocketReader:
             self._waiting = self._parser.feed(self._receive())
             if self._parser.broken:
                 raise self._error(
-                    "sends what are no blocks of voltages", "both programs must speak the same version"
+                    "sends data that are not blocks of voltages", "both programs must speak the same version"
                 )
         if not self._waiting:
             return Voltages(self._next)

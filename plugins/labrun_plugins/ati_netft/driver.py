@@ -159,7 +159,7 @@ class AtiNetFt(ListeningSensor):
         if info.rate_hz < 0.999 * wanted_hz:
             raise DeviceError(
                 self.name,
-                f"the box sends {info.rate_hz:g} samples/s, and rate_hz = {self.settings.rate_hz:g} is wanted",
+                f"the box sends {info.rate_hz:g} samples/s, but rate_hz = {self.settings.rate_hz:g}",
                 hint="set_rate = true has labrun set the box's rate; or give a lower rate_hz",
             )
         self._require_well(ask_status(self.name, self.settings, self.clock, own))

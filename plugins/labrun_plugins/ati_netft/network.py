@@ -80,9 +80,9 @@ def parse(data: bytes) -> BoxInfo:
         raise BoxInfoError(f"netftapi2.xml is {error}") from None
     force_unit, torque_unit = _required(root, "scfgfu"), _required(root, "scfgtu")
     if units.newtons_per(force_unit) is None:
-        raise BoxInfoError(f"scfgfu = {force_unit!r} is no known unit of force")
+        raise BoxInfoError(f"scfgfu = {force_unit!r} is not a known unit of force")
     if units.newton_metres_per(torque_unit) is None:
-        raise BoxInfoError(f"scfgtu = {torque_unit!r} is no known unit of torque")
+        raise BoxInfoError(f"scfgtu = {torque_unit!r} is not a known unit of torque")
     rate = _number("comrdtrate", _optional(root, "comrdtrate") or f"{BOX_RATE_HZ:g}")
     if not 1.0 <= rate <= BOX_RATE_HZ:
         raise BoxInfoError(f"comrdtrate = {rate:g} is outside 1 to {BOX_RATE_HZ:g} Hz")
@@ -105,7 +105,7 @@ def _optional(root: Element, name: str) -> str:
         raise BoxInfoError(f"netftapi2.xml gives {name} {len(elements)} times")
     text = (elements[0].text or "").strip() if elements else ""
     if len(text) > _LONGEST_TEXT or not text.isprintable():
-        raise BoxInfoError(f"{name} of netftapi2.xml is no text of up to {_LONGEST_TEXT} letters")
+        raise BoxInfoError(f"{name} of netftapi2.xml is not a text of up to {_LONGEST_TEXT} letters")
     return text
 
 
@@ -155,7 +155,7 @@ def own_address(device: str, settings: AtiNetFtSettings) -> str:
                 asking.connect((settings.host, settings.rdt_port))
             except OSError as error:
                 raise DeviceError(
-                    device, f"there is no way to {settings.host}: {error.strerror or error}", hint=_CABLE
+                    device, f"no route to {settings.host}: {error.strerror or error}", hint=_CABLE
                 ) from None
             return str(asking.getsockname()[0])
         if _is_address(wanted):
@@ -164,7 +164,7 @@ def own_address(device: str, settings: AtiNetFtSettings) -> str:
             except OSError:
                 raise DeviceError(
                     device,
-                    f"interface = {wanted!r} is no address of this computer",
+                    f"interface = {wanted!r} is not an address of this computer",
                     hint="`ip addr` lists them; leave `interface` out to take the one that leads to the box",
                 ) from None
             return wanted
@@ -233,7 +233,7 @@ def set_rate(device: str, settings: AtiNetFtSettings, own: str) -> BoxInfo:
     if abs(info.rate_hz - box_rate(wanted)) > 0.5:
         raise DeviceError(
             device,
-            f"was told to send {wanted} samples/s, and still says {info.rate_hz:g}",
+            f"was set to send {wanted} samples/s, and still says {info.rate_hz:g}",
             hint=f"set its RDT output rate on http://{settings.host}/comm.htm, or leave set_rate out",
         )
     return info

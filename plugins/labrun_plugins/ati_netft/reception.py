@@ -282,7 +282,7 @@ class Reception:
         if self.sequencer.counts_anew:
             raise DeviceError(
                 self._device,
-                "the box counts its samples anew: it was restarted, and a zero set in it is lost",
+                "the box restarted its sample count: it was rebooted, and a zero set in it is lost",
                 hint="check its supply; labrun resume starts the stream again",
             )
 

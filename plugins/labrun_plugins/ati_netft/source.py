@@ -134,7 +134,7 @@ class DatagramSocket:
             if number not in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR):
                 raise DeviceError(
                     self._device,
-                    f"cannot be heard any more: {os.strerror(number)}",
+                    f"cannot be received from any more: {os.strerror(number)}",
                     hint="check its power and network cable, then labrun resume",
                 )
         length = self._counted["length"][:count].astype(np.int64)

@@ -12,10 +12,10 @@ class _Plain(ElementTree.TreeBuilder):
     """Builds a tree, and refuses what such a file has no need of."""
 
     def doctype(self, *_: object) -> None:
-        raise XmlRefusedError("it declares a document type or an entity, which it has no need of")
+        raise XmlRefusedError("it declares a document type or an entity, which it must not contain")
 
     def pi(self, *_: object) -> Element:
-        raise XmlRefusedError("it holds an instruction, which it has no need of")
+        raise XmlRefusedError("it holds an instruction, which it must not contain")
 
 
 def parse(data: bytes, most_bytes: int) -> Element:

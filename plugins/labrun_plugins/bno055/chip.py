@@ -89,7 +89,7 @@ class Chip:
         else:
             raise Refused(f"was too busy to answer {_TRIES} times in a row (bus over-run)")
         if answer.kind == "damaged":
-            raise Refused("answered with bytes that are no answer to what was asked")
+            raise Refused("answered with bytes that do not match the request")
         if answer.kind == "none":
             raise Silent("does not answer")
         return answer
@@ -139,7 +139,7 @@ class Chip:
             if ids and self._clock.now() > deadline_s:
                 raise DeviceError(
                     self._device,
-                    f"what answers is no BNO055: its chip id is {ids[0]:02X}, not {codec.CHIP_ID:02X}",
+                    f"the device that answers is not a BNO055: its chip id is {ids[0]:02X}, not {codec.CHIP_ID:02X}",
                     hint="check that this port leads to the IMU; a BNO080 or BMI270 speaks another language",
                 )
             self._clock.sleep(_BETWEEN_S)
@@ -166,7 +166,7 @@ class Chip:
             raise DeviceError(
                 self._device,
                 f"{refused} while it was set up",
-                hint="switch its supply off and on; if it goes on, check its wiring",
+                hint="switch its supply off and on; if that does not help, check its wiring",
             ) from refused
         return offsets
 
@@ -202,7 +202,7 @@ class Chip:
             if self._clock.now() > deadline_s:
                 raise DeviceError(
                     self._device,
-                    f"its sensor fusion does not run: system status {state.status}, error {state.error}",
+                    f"its sensor fusion is not running: system status {state.status}, error {state.error}",
                     hint="switch its supply off and on; an error of 3 or more is a fault of the chip or its set-up",
                 )
             self._clock.sleep(_TO_FUSION_S)

@@ -115,7 +115,7 @@ def _numbers(path: Path, line: int, row: list[str], header: list[str], places: l
             value = math.nan
         if not math.isfinite(value):
             raise TableError(
-                f"{path.name}, line {line}: {header[position]} = {row[position][:40]!r} is no number"
+                f"{path.name}, line {line}: {header[position]} = {row[position][:40]!r} is not a number"
             )
         numbers.append(value)
     return numbers
@@ -168,7 +168,7 @@ class Command:
         program = self._settings.run[0]
         if shutil.which(program) is None:
             raise DeviceError(
-                self.name, f"there is no program {program!r}", hint="is it installed, and on the PATH?"
+                self.name, f"cannot find the program {program!r}", hint="is it installed, and on the PATH?"
             )
         self._stopped.clear()
 
@@ -248,7 +248,7 @@ class Command:
         if self._stopped.is_set():
             self._stopped.clear()
             raise DeviceError(
-                self.name, "was stopped while it computed", hint="labrun resume computes it anew"
+                self.name, "was stopped while it computed", hint="labrun resume computes it again"
             )
         if process.returncode != 0:
             self._fail(f"ended with code {process.returncode}", f"by hand: {self._line}")

@@ -344,7 +344,7 @@ def _of_servo(bus: Bus, servo: Servo) -> Iterator[Remark]:
         yield Remark(
             "problem",
             who,
-            f"firmware {servo.firmware} has no bus watchdog: it goes on if this computer dies",
+            f"firmware {servo.firmware} has no bus watchdog: it keeps moving if this computer dies",
             f"update it to {WATCHDOG_FIRMWARE} or later with Dynamixel Wizard",
         )
     elif servo.firmware < FAST_FIRMWARE:

@@ -31,7 +31,7 @@ _CODES = {
         "look for a blocked mechanism, a loose wire or a weak supply; reset the board, then labrun resume",
     ),
 }
-_OTHER = ("it refuses{where}", "see the README of the plugin; labrun resume goes on once it is mended")
+_OTHER = ("it refuses{where}", "see the README of the plugin; labrun resume continues once it is fixed")
 
 
 class LineRefusedError(DeviceError):
@@ -252,7 +252,7 @@ class LineSession:
             if hello.kind != kind:
                 raise DeviceError(
                     self.device,
-                    f"the board at {self._port.port} says it is a {hello.kind!r}, and a {kind!r} is wanted",
+                    f"the board at {self._port.port} is a {hello.kind!r}, expected a {kind!r}",
                     hint="set the right port (labrun doctor --hardware tells who is where), or flash its firmware",
                 )
         except BaseException:
@@ -287,7 +287,7 @@ class LineSession:
         try:
             for _ in range(2):
                 if not self._write(message, token):
-                    raise StoppedError(self.device, f"{word} was not sent: it was told to stop")
+                    raise StoppedError(self.device, f"{word} was not sent, because a stop was commanded")
                 if awaited.answered.wait(ANSWER_S):
                     return self._result(awaited)
                 self.check()
@@ -346,7 +346,7 @@ class LineSession:
         if answer != (str(watchdog_ms),):
             raise DeviceError(
                 self.device,
-                f"was asked for a watchdog of {watchdog_ms} ms and answered {','.join(answer) or 'nothing'}",
+                f"was given a watchdog of {watchdog_ms} ms and answered {','.join(answer) or 'nothing'}",
                 hint="flash the firmware that stands in the plugin's folder",
             )
         self.watchdog_ms = watchdog_ms
@@ -384,7 +384,7 @@ class LineSession:
         except ValueError as error:
             raise DeviceError(
                 self.device,
-                f"its HELLO says {','.join(answer)!r}, and kind, firmware, channels and rate were expected",
+                f"its HELLO answered {','.join(answer)!r}, expected kind, firmware, channels and rate",
                 hint="flash the firmware that stands in the plugin's folder",
             ) from error
 

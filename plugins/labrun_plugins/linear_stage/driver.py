@@ -98,13 +98,13 @@ def _calibration(settings: LinearStageSettings) -> Remark:
     if line.residual_n is not None and line.residual_n > _POOR_RESIDUAL * of_range:
         return Remark(
             "warning", "calibration", f"{law}; its points scatter by {line.residual_n:.2g} N",
-            "calibrate anew: the cell creeps, slips or was loaded off its axis",
+            "calibrate again: the cell creeps, slips or was loaded off its axis",
         )  # fmt: skip
     if calibration.date is None:
         return Remark("warning", "calibration", f"{law}; without a date", "write the date into its table")
     age = (datetime.datetime.now(datetime.UTC).date() - calibration.date).days
     if age > _OLD_DAYS:
-        return Remark("warning", "calibration", f"{law}; {age} days old", "calibrate anew")
+        return Remark("warning", "calibration", f"{law}; {age} days old", "calibrate again")
     return Remark("ok", "calibration", f"{law}; of {calibration.date}")
 
 
@@ -392,7 +392,7 @@ class LinearStage:
         if state is None:
             raise DeviceError(
                 self.name,
-                f"its state {','.join(answer)!r} is none",
+                f"reports an unknown state {','.join(answer)!r}",
                 hint="flash the firmware that stands in the plugin's folder",
             )
         return state

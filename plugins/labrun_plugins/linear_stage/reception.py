@@ -270,7 +270,7 @@ class Reception:
             self._on_fault(
                 DeviceError(
                     self._device,
-                    "the board restarted by itself: the numbers of its samples began anew",
+                    "the board restarted by itself: its sample numbers started again",
                     hint="look at its supply and its cable, then labrun resume",
                 )
             )
@@ -306,7 +306,7 @@ class Reception:
             self._on_fault(
                 LimitExceededError(
                     self._device,
-                    f"force {force_n:.4g} N is beyond the limit of {self._force_n:g} N; it was told to stop",
+                    f"force {force_n:.4g} N is beyond the limit of {self._force_n:g} N; a stop was commanded",
                     hint="look at the bench before labrun resume, or change limits.force_n in the file",
                 )
             )

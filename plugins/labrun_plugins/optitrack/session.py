@@ -432,7 +432,7 @@ class Session:
             raise DeviceError(
                 self._device,
                 f"is another server than before: {_told(info)}, not {_told(before)}",
-                hint="Motive was restarted or its streaming pane changed; labrun resume connects anew",
+                hint="Motive was restarted or its streaming pane changed; labrun resume connects again",
             )
         self._doubts.pop("server", None)
 

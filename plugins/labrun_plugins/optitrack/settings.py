@@ -89,7 +89,7 @@ angles  = { angle = { body = "arm", axis = [0, 1, 0] } }"""
     @classmethod
     def _is_multicast(cls, group: str | None) -> str | None:
         if group is not None and not IPv4Address(group).is_multicast:
-            raise ValueError(f"{group} is no multicast group; expected 224.0.0.0 ... 239.255.255.255")
+            raise ValueError(f"{group} is not a multicast group; expected 224.0.0.0 ... 239.255.255.255")
         return group
 
     @model_validator(mode="after")

@@ -232,7 +232,7 @@ _FAULT_WORDS = {
     ),
     BITSTREAM_CHANGED: (
         "changed the layout of its frames during the trial",
-        "see that no other program or person changes Motive's bitstream version; labrun resume connects anew",
+        "see that no other program or person changes Motive's bitstream version; labrun resume connects again",
     ),
 }
 
@@ -340,8 +340,8 @@ class PoseStream:
         if self._session.in_doubt and self._session.doubtful_for_s() > _DOUBT_S:
             raise DeviceError(
                 self._device,
-                "changed its bodies or began to count frames anew, and does not answer what it streams now",
-                hint="look at Motive; labrun resume connects anew",
+                "changed its bodies or restarted its frame count, and does not answer what it streams now",
+                hint="look at Motive; labrun resume connects again",
             )
         quiet_s = now_s - self._heard_s
         if quiet_s > max(_SILENT_S, _SILENT_PERIODS / self._rate_hz):
@@ -362,7 +362,7 @@ class PoseStream:
             return DeviceError(
                 self._device,
                 f"sends frames that do not fit NatNet {version} (the last has {size} bytes)",
-                hint="a program changed Motive's bitstream, or the network cuts frames; labrun resume connects anew",
+                hint="a program changed Motive's bitstream, or the network cuts frames; labrun resume connects again",
             )
         cut = self._session.link.malformed
         return DeviceError(

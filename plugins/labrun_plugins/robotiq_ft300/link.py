@@ -129,7 +129,10 @@ class Registers:
         self._owed = not heard
         if damaged:
             return None, "answered with a wrong checksum"
-        return None, f"answered with {len(heard)} bytes that are no answer" if heard else "does not answer"
+        return (
+            None,
+            f"answered with {len(heard)} bytes that are not an answer" if heard else "does not answer",
+        )
 
     def _find(self, heard: bytes, function: int, answer_bytes: int) -> "tuple[ModbusPDU | None, bool]":
         """Look for the answer anywhere in what came; tell also whether one with a wrong checksum is there."""
@@ -231,12 +234,12 @@ class Link:
         if parser.frames:
             raise DeviceError(
                 self._device,
-                f"goes on streaming after {_JAMS} x {len(codec.JAM)} bytes FF, which should stop it",
+                f"keeps streaming after {_JAMS} x {len(codec.JAM)} bytes FF, which should stop it",
                 hint="does the line lead to the sensor (A and B, both directions)? switch its supply off and on",
             )
         raise DeviceError(
             self._device,
-            f"{self._port.port} sends bytes that are no frames of an FT300",
+            f"{self._port.port} sends bytes that are not frames of an FT300",
             hint="check that this port leads to the sensor, and the baud of its table",
         )
 
@@ -259,7 +262,7 @@ class Link:
         if not codec.is_sensor(firmware):
             raise DeviceError(
                 self._device,
-                f"what answers is no FT300: its firmware is {firmware}, one of the sensor begins with F",
+                f"the device that answers is not an FT300: its firmware is {firmware}, one of the sensor begins with F",
                 hint="a gripper of Robotiq speaks Modbus with slave 9, too: check port and cable",
             )
         return firmware

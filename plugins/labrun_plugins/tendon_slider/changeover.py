@@ -57,7 +57,7 @@ class Changeover:
         if wanted not in keys.states:
             raise DeviceError(
                 self._device,
-                f"{keys.condition} = {wanted!r} is none of its states; nothing was moved",
+                f"{keys.condition} = {wanted!r} is not one of its states; nothing was moved",
                 hint=f"its states are {keys.states[0]!r} and {keys.states[1]!r}",
             )
         moves = wanted != self.wanted
@@ -90,7 +90,7 @@ class Changeover:
             wanted, self.wanted = self.wanted, None  # the next trial moves it again
             raise DeviceError(
                 self._device,
-                f"did not arrive: {self._settings.condition} = {wanted!r} was asked for, and {self._says(closed)}; "
+                f"did not arrive: {self._settings.condition} = {wanted!r} was requested, and {self._says(closed)}; "
                 "its servo was stopped, and no trial was begun",
                 hint="look at tendon, spring and switches; free the slider, then labrun resume",
             )

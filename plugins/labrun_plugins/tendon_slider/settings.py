@@ -54,7 +54,7 @@ state  = "long"                        # where no condition `beam` says otherwis
         if self.states[0] == self.states[1]:
             raise ValueError(f"states: both are called {self.states[0]!r}")
         if self.state is not None and self.state not in self.states:
-            raise ValueError(f"state = {self.state!r} is none of states {list(self.states)}")
+            raise ValueError(f"state = {self.state!r} is not one of states {list(self.states)}")
         if abs(self.pulled_us - self.released_us) < 10:
             raise ValueError("released_us and pulled_us are less than 10 us apart: nothing would be pulled")
         return self

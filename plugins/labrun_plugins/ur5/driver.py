@@ -86,7 +86,9 @@ def _losses(tracking: Tracking) -> Remark:
 
 def _remote(remote: bool | None) -> Remark:
     if remote is None:
-        return Remark("ok", "remote control", "not told by this controller (a CB3 always takes programs)")
+        return Remark(
+            "ok", "remote control", "not reported by this controller (a CB3 always accepts programs)"
+        )
     text, advice = (
         "on" if remote else "off: the arm takes no programs",
         "switch to Remote Control on the pendant",
@@ -306,7 +308,7 @@ class Ur5:
         if not stop_from_scratch(name, settings, RealClock(), _LOOK_S):
             raise DeviceError(
                 name,
-                f"could not be told to stop ({STOP.strip()}, dashboard stop)",
+                f"could not be stopped ({STOP.strip()}, dashboard stop)",
                 hint="press the emergency stop",
             )
 

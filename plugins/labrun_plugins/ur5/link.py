@@ -104,7 +104,7 @@ class Tracking:
     def _missing(self, state: ArmState) -> int | None:
         """Return how many packages are missing before this one; None if it is not newer than the last."""
         if not math.isfinite(state.time_s):
-            raise DeviceError(self._device, "its time stamp is no number", hint=REOPEN_HINT)
+            raise DeviceError(self._device, "its time stamp is not a number", hint=REOPEN_HINT)
         last = self.state
         if last is None:
             return 0

@@ -113,7 +113,7 @@ def move_program(
         A number that is not finite, or a name that is no register.
     """
     if not register.isidentifier():
-        raise ValueError(f"{register!r} is no input register")
+        raise ValueError(f"{register!r} is not an input register")
     pose = ", ".join(_number(value) for value in target)
     return (
         "def labrun_move():\n"
@@ -302,7 +302,7 @@ def failure_of(device: str, settings: Ur5Settings, move: Move | None, complaint:
     if move.scaling < 1.0 and settings.on_reduced_speed == "fault":
         return DeviceError(
             device,
-            f"moves at {100 * move.scaling:.0f} % of the speed asked for (speed scaling)",
+            f"moves at {100 * move.scaling:.0f} % of the commanded speed (speed scaling)",
             hint=_SLIDER_HINT,
         )
     return None

@@ -176,7 +176,7 @@ def test_a_board_that_is_plugged_in_again_works_again(moving):
     assert "unplugged" in str(_raised(moving))
     moving.driver.safe_stop()  # harmless
     moving.driver.close()
-    with pytest.raises(DeviceError, match=r"device tail: there is no port"):
+    with pytest.raises(DeviceError, match=r"device tail: cannot find the port"):
         moving.driver.open()
     moving.clear("unplug")
     moving.wait_until(

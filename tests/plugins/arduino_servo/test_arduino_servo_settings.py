@@ -17,7 +17,7 @@ from labrun.errors import DeviceError, LimitExceededError
     ("keys", "message"),
     [
         ({"joints": {"a": {"pin": 3}, "b": {"pin": 3}}}, "joints a and b both have pin 3"),
-        ({"joints": {"a": {"pin": 4}}}, r"pin 4 of joint a is none of the firmware's pins \(3, 5, 6, 9\)"),
+        ({"joints": {"a": {"pin": 4}}}, r"pin 4 of joint a is not one of the firmware's pins \(3, 5, 6, 9\)"),
         ({"joints": {"a": {"pin": 3}, "b": {}}}, "joint b names no pin, but other joints do"),
         (
             {"joints": {name: {} for name in "abcde"}},

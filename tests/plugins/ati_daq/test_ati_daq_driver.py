@@ -193,8 +193,8 @@ def test_a_gauge_at_the_rail_is_counted_as_saturated(bench):
     ("fault", "value", "message"),
     [
         ("nonsense", True, "gauge 5 reads nan V on an input of"),
-        ("restart", 1, "the card counts its samples anew"),
-        ("half-frame", 1, "sends what are no blocks of voltages"),
+        ("restart", 1, "the card restarted its sample count"),
+        ("half-frame", 1, "sends data that are not blocks of voltages"),
         ("unplug", True, "has ended the connection"),
     ],
 )

@@ -72,10 +72,10 @@ def test_the_numbered_units_of_the_tcp_port_are_those_of_the_manual():
         ({"cfgcpf": None}, "does not give cfgcpf"),
         ({"cfgcpt": "0"}, "cfgcpt = 0 counts per unit is not above 0"),
         ({"cfgcpt": "nan"}, "cfgcpt = 'nan' is not a number"),
-        ({"scfgtu": "stone-furlong"}, "'stone-furlong' is no known unit of torque"),
-        ({"scfgfu": "dyn"}, "'dyn' is no known unit of force"),
+        ({"scfgtu": "stone-furlong"}, "'stone-furlong' is not a known unit of torque"),
+        ({"scfgfu": "dyn"}, "'dyn' is not a known unit of force"),
         ({"comrdtrate": "8000"}, "comrdtrate = 8000 is outside 1 to 7000"),
-        ({"prodname": "x" * 200}, "prodname of netftapi2.xml is no text"),
+        ({"prodname": "x" * 200}, "prodname of netftapi2.xml is not a text"),
         ({"setserial": "a<cfgcpf>5</cfgcpf>"}, "gives cfgcpf 2 times"),
     ],
 )

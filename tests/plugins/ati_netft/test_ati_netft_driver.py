@@ -120,11 +120,11 @@ def test_the_box_is_set_to_a_rate_only_when_asked_to(opened, box):
     bench.driver.stop()
     assert is_gapless(samples, 1 / 1000)
     assert bench.driver.identify().details["decimation"] == "none"
-    with pytest.raises(DeviceError, match="sends 1000 samples/s, and rate_hz = 2000 is wanted") as raised:
+    with pytest.raises(DeviceError, match="sends 1000 samples/s, but rate_hz = 2000") as raised:
         opened(rate_hz=2000)
     assert "set_rate = true" in str(raised.value)
     box.inject("ignore-settings")
-    with pytest.raises(DeviceError, match="was told to send 7000 samples/s, and still says 1000"):
+    with pytest.raises(DeviceError, match="was set to send 7000 samples/s, and still says 1000"):
         opened(rate_hz=7000, set_rate=True)
     box.clear("ignore-settings")
     opened(rate_hz=7000, set_rate=True)
@@ -187,7 +187,7 @@ def test_the_named_interface_is_used_and_another_name_is_refused(opened):
     with pytest.raises(DeviceError, match="no interface 'eth77'") as raised:
         opened(interface="eth77")
     assert "lo" in str(raised.value)
-    with pytest.raises(DeviceError, match="is no address of this computer"):
+    with pytest.raises(DeviceError, match="is not an address of this computer"):
         opened(interface="203.0.113.9")
 
 

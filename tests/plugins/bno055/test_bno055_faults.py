@@ -95,7 +95,9 @@ def test_a_byte_too_many_or_too_few_is_thrown_away_with_its_reading(bench, fault
 def test_a_bad_line_all_the_time(bench):
     driver = reading(bench)
     bench.inject("random-byte")
-    with pytest.raises(DeviceError, match=r"imu: answered with bytes that are no answer[\s\S]*cable"):
+    with pytest.raises(
+        DeviceError, match=r"imu: answered with bytes that do not match the request[\s\S]*cable"
+    ):
         bench.read_until_it_fails(driver)
 
 
@@ -119,7 +121,7 @@ def test_a_flipped_bit_in_the_answers_brings_no_orientation_that_cannot_be(bench
 def test_another_chip_answers(bench):
     bench.inject("wrong-id")
     with pytest.raises(
-        DeviceError, match=r"imu: what answers is no BNO055: its chip id is 86[\s\S]*this port"
+        DeviceError, match=r"imu: the device that answers is not a BNO055: its chip id is 86[\s\S]*this port"
     ):
         bench.driver.open()
 
@@ -152,7 +154,9 @@ def test_a_refused_set_up_is_told_in_words(bench):
     driver = opened(bench)
     driver.close()
     bench.inject("system-error", 3)
-    with pytest.raises(DeviceError, match=r"fusion does not run: system status 1, error 3[\s\S]*off and on"):
+    with pytest.raises(
+        DeviceError, match=r"fusion is not running: system status 1, error 3[\s\S]*off and on"
+    ):
         driver.open()
 
 
@@ -171,7 +175,7 @@ def test_unplugged_in_the_midst_of_a_run_and_plugged_in_again(bench):
         bench.read_until_it_fails(driver)
     driver.safe_stop()
     driver.close()
-    with pytest.raises(DeviceError, match=r"there is no port[\s\S]*labrun doctor"):
+    with pytest.raises(DeviceError, match=r"cannot find the port[\s\S]*labrun doctor"):
         driver.open()
     bench.clear("unplug")
     bench.wait_until(lambda: len(bench.events("plugged")) > len(bench.events("unplugged")))

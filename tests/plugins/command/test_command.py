@@ -96,7 +96,7 @@ def test_a_dry_run_starts_nothing_and_plays_what_was_computed_else_zeros(solve):
 
 
 def test_a_dry_run_says_that_a_program_is_not_there(solve):
-    with pytest.raises(LabrunError, match="there is no program 'abaqvs'"):
+    with pytest.raises(LabrunError, match="cannot find the program 'abaqvs'"):
         solve(dry_run=True, overrides=['rig.devices.fea.run=["abaqvs"]'])
 
 
@@ -108,8 +108,8 @@ def test_a_dry_run_says_that_a_program_is_not_there(solve):
             "ended with code 3; it said last: mesh too coarse",
         ),
         ({"before": "sys.exit(0)"}, "it wrote no file {output}"),
-        ({"value": "'nonsense'"}, "line 2: moment = 'nonsense' is no number"),
-        ({"value": "float('nan')"}, "line 2: moment = 'nan' is no number"),
+        ({"value": "'nonsense'"}, "line 2: moment = 'nonsense' is not a number"),
+        ({"value": "float('nan')"}, "line 2: moment = 'nan' is not a number"),
         ({"value": "f'{row},{row}'"}, "line 2: 3 values under 2 headings"),
         ({"before": "import time; time.sleep(60)", "timeout": 0.3}, "took longer than timeout_s = 0.3 s"),
     ],
@@ -123,7 +123,7 @@ def test_what_a_solver_does_wrong_is_said_and_what_was_computed_stays(solve, cha
 
 
 def test_a_program_that_is_not_there_and_a_name_that_no_condition_has_are_said(solve, tmp_path):
-    with pytest.raises(LabrunError, match="there is no program 'abaqvs'"):
+    with pytest.raises(LabrunError, match="cannot find the program 'abaqvs'"):
         solve(overrides=['rig.devices.fea.run=["abaqvs"]'])
     with pytest.raises(LabrunError, match="names what the condition does not have; it has angle"):
         solve(overrides=[f'rig.devices.fea.run=["{sys.executable}", "{{theta}}"]'])

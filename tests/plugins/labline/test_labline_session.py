@@ -148,7 +148,7 @@ def test_numbers_go_round(session):
 
 def test_a_board_of_another_kind_is_refused_and_the_port_closed(board):
     session = LineSession("stage", _port(board), board.clock, boot_wait_s=0.0)
-    with pytest.raises(DeviceError, match=r"device stage: the board at .* says it is a 'labservo'"):
+    with pytest.raises(DeviceError, match=r"device stage: the board at .* is a 'labservo'"):
         session.open("labstage")
     assert not session.is_open
 

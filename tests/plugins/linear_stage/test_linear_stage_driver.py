@@ -277,7 +277,9 @@ def test_a_doctor_does_not_home_it(closed):
 def test_a_port_that_is_not_there_is_told_with_what_to_do():
     settings = LinearStage.Settings(**{**SETTINGS, "port": "/dev/nowhere"})
     driver = LinearStage("stage", settings, DeviceContext(RealClock(), np.random.default_rng(0)))
-    with pytest.raises(DeviceError, match=r"device stage: there is no port /dev/nowhere(.|\n)*plug it in"):
+    with pytest.raises(
+        DeviceError, match=r"device stage: cannot find the port /dev/nowhere(.|\n)*plug it in"
+    ):
         driver.open()
     driver.safe_stop()
     driver.close()

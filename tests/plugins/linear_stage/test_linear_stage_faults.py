@@ -238,7 +238,7 @@ def test_a_refused_target_ends_the_motion_with_the_boards_reason(bench):
 def test_a_plug_that_is_pulled_is_told_and_back_in_it_goes_on(bench):
     bench.inject("unplug")
     assert_explained(failure(bench), "unplugged", "cable")
-    with pytest.raises(DeviceError, match="no port"):
+    with pytest.raises(DeviceError, match="cannot find the port"):
         bench.driver.open()
     bench.clear("unplug")
     bench.wait_until(lambda: bench.events("plugged")[-1]["time_s"] > bench.events("unplugged")[-1]["time_s"])

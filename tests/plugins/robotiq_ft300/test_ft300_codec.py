@@ -237,7 +237,7 @@ def test_random_bytes_are_never_an_answer(answers):
 
 def test_the_answer_to_another_request_is_not_taken_for_this_one():
     line, _ = registers([WRENCH_REPLY], tries=1)
-    with pytest.raises(DeviceError, match="are no answer"):
+    with pytest.raises(DeviceError, match="are not an answer"):
         line.read(500, 3)
 
 

@@ -59,7 +59,7 @@ def test_a_slider_that_does_not_arrive_is_stopped_and_said_and_goes_on_once_it_i
     bench.driver.arrange({"beam": "short"})
     with pytest.raises(DeviceError) as missed:
         bench.wait_until(bench.driver.arrived)
-    assert "'short' was asked for, and none of its switches is closed" in str(missed.value)
+    assert "'short' was requested, and none of its switches is closed" in str(missed.value)
     assert "labrun resume" in str(missed.value.hint)
     assert bench.wait_for("stop", after_s=asked_s)
     bench.clear("stuck")
@@ -90,7 +90,7 @@ def test_a_slider_that_leaves_its_state_makes_the_device_unwell(bench):
 
 def test_a_state_that_it_does_not_have_is_refused_before_anything_moves(bench):
     before = len(bench.events("command"))
-    with pytest.raises(DeviceError, match="none of its states") as refused:
+    with pytest.raises(DeviceError, match="not one of its states") as refused:
         bench.driver.arrange({"beam": "medium"})
     assert "'long' and 'short'" in str(refused.value.hint)
     assert len(bench.events("command")) == before
@@ -98,7 +98,11 @@ def test_a_state_that_it_does_not_have_is_refused_before_anything_moves(bench):
 
 @pytest.mark.parametrize(
     ("keys", "message"),
-    [({"states": ["a", "a"]}, "both"), ({"state": "shrt"}, "none of states"), ({"pulled_us": 1005}, "10 us")],
+    [
+        ({"states": ["a", "a"]}, "both"),
+        ({"state": "shrt"}, "not one of states"),
+        ({"pulled_us": 1005}, "10 us"),
+    ],
 )
 def test_settings_that_contradict_themselves_are_refused(keys, message):
     with pytest.raises(ValueError, match=message):

@@ -260,7 +260,7 @@ def test_only_finite_numbers_ever_reach_a_program(pose, speed, watchdog_s):
 
 
 def test_a_register_that_is_no_name_is_refused():
-    with pytest.raises(ValueError, match="no input register"):
+    with pytest.raises(ValueError, match="not an input register"):
         move_program(POSE, speed_m_s=0.1, acceleration_m_s2=0.5, register='x")\npowerdown(', watchdog_s=0.1)
 
 

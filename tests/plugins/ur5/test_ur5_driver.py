@@ -300,7 +300,7 @@ def test_the_emergency_stop_connects_from_scratch(bench):
     bench.wait_for("still", after_s=asked_s)
     assert {line["how"] for line in since(bench, "stop", asked_s)} == {"stopl", "dashboard"}
     nobody = another(bench, script_port=1, dashboard_port=1)._settings
-    with pytest.raises(DeviceError, match="device arm: could not be told to stop") as error:
+    with pytest.raises(DeviceError, match="device arm: could not be stopped") as error:
         type(arm).emergency_stop("arm", nobody)
     assert "press the emergency stop" in str(error.value)
 

@@ -334,7 +334,7 @@ def test_a_slow_speed_slider_refuses_a_move_and_slow_scaling_ends_one(bench):
     arm.start()
     begin(bench)
     bench.inject("speed-scaling", 0.5)
-    assert "moves at 50 % of the speed asked for" in error_of(bench, arm.read)
+    assert "moves at 50 % of the commanded speed" in error_of(bench, arm.read)
 
 
 def test_a_slow_speed_slider_can_be_only_noted(bench):

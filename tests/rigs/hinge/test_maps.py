@@ -124,7 +124,7 @@ def test_two_degrees_of_freedom_and_coefficients_that_may_be_zero_are_told():
     result = fitted(Form.of("stiffness", ("w",)), {"w": WIDTHS}, straight, scatter=0.02, seed=0)
     text = " ".join(map_warnings(result))
     assert "2 degrees of freedom" in text
-    assert "k_w2 and k_w cannot be told from zero, each by itself" in text
+    assert "k_w2 and k_w are not distinguishable from zero separately" in text
 
 
 def test_a_map_that_turns_negative_between_specimens_is_told_with_the_place():

@@ -73,5 +73,5 @@ def test_an_experiment_names_the_file_and_keeps_its_content(tmp_path):
     path.write_text(path.read_text().replace('# scene = "arm.xml"', 'scene = "arm.xml"'))
     scene = load_experiment(path).experiment.rig.scene
     assert (scene.plugin, scene.settings["model"].lstrip()[:7]) == ("robot", "<mujoco")
-    with pytest.raises(SpecError, match=r'there is no file "arn\.xml"'):
+    with pytest.raises(SpecError, match=r'cannot find the file "arn\.xml"'):
         load_experiment(path, ["rig.scene=arn.xml"])

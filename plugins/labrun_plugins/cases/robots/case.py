@@ -103,7 +103,7 @@ def run(
             middle = accelerations(time_s + 0.5 * STEP_S, held, q + 0.5 * STEP_S * rate, half)
             q, rate = q + STEP_S * half, rate + STEP_S * middle
     if not np.isfinite(angles).all() or np.abs(angles).max() > 6.0:
-        raise FloatingPointError("the robot left the finite numbers")
+        raise FloatingPointError("the simulation of the robot diverged")
     return angles, speeds, torques
 
 

@@ -227,7 +227,7 @@ def _properties(model: Model, condition: Condition, values: Mapping[str, float])
     size = abs(horizontal)
     if abs(at_rest) > _CLOSE * size or abs(inclined - 0.5 * horizontal) > _CLOSE * size:
         raise FitError(
-            f"without spring and damper, model {model.name} is no pendulum: its acceleration does not follow "
+            f"without spring and damper, model {model.name} is not a pendulum: its acceleration does not follow "
             "the sine of the angle",
             hint="eq. (3.5) is I angle'' = -k angle - b angle' - m g r sin(angle)",
         )

@@ -266,11 +266,11 @@ def map_warnings(fitted: FittedMap) -> list[str]:
         if estimate.contains_zero and not name.endswith("_0")
     ]
     if len(zero) == 1:
-        notes.append(f"{label}: {zero[0]} cannot be told from zero: these specimens would do without it")
+        notes.append(f"{label}: {zero[0]} is not distinguishable from zero: these specimens do not need it")
     elif zero:
         notes.append(
-            f"{label}: {_listed(zero)} cannot be told from zero, each by itself: the specimens do not determine how "
-            "they share what changes with size"
+            f"{label}: {_listed(zero)} are not distinguishable from zero separately: the specimens do not "
+            "determine the share of each"
         )
     straight = [name for name in fitted.form.variables if (name, 2) not in fitted.form.terms]
     if straight:
@@ -303,7 +303,7 @@ def warnings(maps: Sequence[FittedMap], specimens: Sequence[Specimen], way: str)
     if _each_once(specimens):
         notes.append(
             "every specimen was mounted once: what a mounting changes (2 to 3 % in the source's repeats) is in the "
-            "scatter about the map, and cannot be told from a size's own effect; another run tells (--with RUN)"
+            "scatter about the map, and cannot be separated from the effect of a dimension; add a run (--with RUN)"
         )
     notes += _body(specimens, way, [fitted.form.quantity for fitted in maps])
     own = [f"{specimen.label}: {text}" for specimen in specimens for text in specimen.warnings]

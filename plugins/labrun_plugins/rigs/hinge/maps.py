@@ -121,7 +121,7 @@ def _forms(specimens: Sequence[Specimen]) -> list[Form]:
     varied = [name for name, count in distinct.items() if count > 1]
     if not varied:
         raise FitError(
-            "all releases are of specimens of one size: there is nothing to draw a map over",
+            "all specimens have the same dimensions, so a map cannot be fitted",
             hint="--model hinge fits stiffness and damping of one specimen; a map needs three sizes or more, "
             "perhaps of other runs (--with RUN)",
         )

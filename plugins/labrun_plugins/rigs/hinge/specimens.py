@@ -190,7 +190,7 @@ def _sizes(trial: FitTrial, stated: Mapping[str, float], dataset: Dataset) -> tu
         if isinstance(value, str) or not value > 0 or not np.isfinite(value):
             raise RequestError(
                 f"{trial.label} of {dataset.name}: {name} is {value!r}, where a size is a positive number",
-                hint="mend the condition in the experiment or in recording.toml",
+                hint="correct the condition in the experiment or in recording.toml",
             )
         sizes.append(float(value) * factor)
     return tuple(sizes)

@@ -85,7 +85,7 @@ class RestFit(WithSettings[RestSettings]):
         model = job.model if job.model is not None else load_model("six-bar")
         if not set(JOINTS) <= set(model.states):
             raise RequestError(
-                f"model {model.name} is no linkage with the joints {JOINTS[0]} to {JOINTS[-1]}",
+                f"model {model.name} is not a linkage with the joints {JOINTS[0]} to {JOINTS[-1]}",
                 hint="experiments/models/six-bar.toml is one",
             )
         job.note("following the swing of every joint")

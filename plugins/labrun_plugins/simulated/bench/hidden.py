@@ -26,7 +26,7 @@ def hidden_effects(wanted: Iterable[HiddenEffect], model: Model, scale: Scale) -
 def require_finite(stepper: Stepper, bench: str) -> None:
     """Raise ExperimentError where a bench, named in words, has left the finite numbers."""
     if not stepper.finite:
-        raise ExperimentError(f"the simulated {bench} blew up", hint="hide a weaker effect, or none")
+        raise ExperimentError(f"the simulation of {bench} diverged", hint="hide a weaker effect, or nothing")
 
 
 def described(effect: AttachedEffect) -> dict[str, Any]:
