@@ -15,9 +15,11 @@ from labrun.gap.screening import Base, Screened, derivatives_around
 from labrun.gap.steps import in_shorter_steps
 
 _WIDENINGS = 3
+"""Times that a range is widened at most, where a fit ended near its far end."""
 _WIDER = 5.0
+"""Factor by which it is widened."""
 _NEAR_THE_END = 0.1
-"""How often, and by which factor, a range is widened at whose far end, within this part of it, a fit ended."""
+"""Part of the range within which a fit counts as having ended near its end."""
 
 
 def in_fitting_range(base: Base, screened: Screened) -> Screened:

@@ -12,15 +12,17 @@ from labrun.gap.noise import Noise
 from labrun.gap.nuisance import information, unseen
 
 _FOLD_TOLERANCE = 0.001
+"""Relative fall of the sum of squares at which a fit without a condition ends."""
 _FOLD_EVALUATIONS = 16
-"""As of fits, for those that do not see a condition."""
+"""Most evaluations of such a fit."""
 _FOLD_RENEWALS = 2
-"""How often derivatives are taken anew at most in such a fit."""
+"""Most times that derivatives are computed anew in such a fit."""
 _FINER_STEPS = 8
 """What is stiff in a withheld condition only is simulated again with so many times the integrator's steps."""
 _FLOOR_DRAWS = 200
+"""Draws of noise behind the floor."""
 _FLOOR_PERCENTILE = 95.0
-"""Draws of noise behind the floor, and which of the gaps that noise alone leaves is called the floor."""
+"""Percentile of the gaps that noise alone leaves, which is the floor."""
 
 
 @dataclass(frozen=True)

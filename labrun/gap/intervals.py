@@ -22,6 +22,7 @@ _FORM_OF_LEVELS = 0.005
 """The same of a level, which hardly depends on how its corner is rounded."""
 
 _RIDGE = 1e-10
+"""Precision, in units of the largest, that keeps directions which nothing shows from growing without bound."""
 
 
 def scatter(base: Base, noise: Noise, units: Units, rng: np.random.Generator) -> FloatArray:

@@ -22,9 +22,11 @@ _MOST_LEARNED = 10000
 _MOST_NAMED = 2
 """Signals that the rest is said to depend on, at most."""
 _NEURONS = 300
+"""Random neurons of the regression."""
 _LOOKED_AT = 3.0
+"""Signals that each neuron sees, on average."""
 _STEEPNESS = (0.3, 10.0)
-"""Random neurons, at how many signals each looks in the mean, and how steep they are."""
+"""Least and greatest steepness of a neuron."""
 _RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
 """Strengths of the ridge per sample."""
 _MEMORIES = (0.03, 0.125, 0.4)

@@ -17,16 +17,21 @@ from labrun.gap.motion import smoothed
 from labrun.gap.noise import fit_whitener, quantum
 
 _LINES = 2
+"""Spectral lines of what is missing over a coordinate that are starts, too."""
 _SMALL_WAVE = 0.02
+"""Amplitude at which a line of unknown phase starts."""
 _SHOWS_COORDINATE = 0.01
-"""So many lines of what is missing over a coordinate are starts, too."""
+"""Part of its variation by which an output may miss a line over the coordinate and still shows it."""
 _BINS_A_PERIOD = 8
+"""Bins over two of the shortest periods."""
 _NEIGHBOURS = 20
+"""Frequencies on both sides of a line that its power is compared with, in units of its width."""
 _STEPS_A_PERIOD = 6.0
-"""Bins over the shortest period."""
+"""Samples over the shortest period, at least."""
 _LINE_SHARE = 0.2
+"""Part of the squares of a missing force in one line from which it holds the motion in wells."""
 _FEWEST_WELLS = 3.0
-"""Part of the squares of a missing force in one line from which it holds the motion in wells, if it passes so many."""
+"""Wells that the motion must pass for that."""
 
 
 def line_starts(problem: Problem, z: FloatArray, candidate: Candidate) -> list[tuple[float, ...]]:

@@ -47,7 +47,7 @@ from labrun.gap.trial_wise import (
 from labrun.models import Model
 
 _DEVIATION_NEARLY_ALL = 0.8
-"""Blocks of a trial that was never repeated, in all of which its deviation has to be the same."""
+"""Share of what is left that deviations have to remove once everything is fitted, where causes look like them."""
 
 
 @dataclass(frozen=True)

@@ -38,11 +38,13 @@ from labrun.models import Model
 _PROBED_UNITS = 3
 """Trials that are simulated with a parameter at the end of what is believed of it, to see whether it simulates."""
 _SAME_COURSE = 0.95
+"""Correlation with the stated model from which an output is its multiple."""
 _NEAR_FACTOR = 0.15
-"""Correlation with the stated model from which an output is its multiple; how near to a common mistake."""
+"""Part by which that multiple may differ from a common mistake."""
 _REWEIGHED = 8
+"""Most fits without repeats in units of what the one before left."""
 _UNITS_SETTLED = 0.02
-"""Most fits without repeats in units of what the one before left, and the part by which these may still change."""
+"""Part by which these units may still change once they have settled."""
 _INTEGRATION_ERROR = 1.0
 """Squares, in units of the noise and over all samples, that halving the integrator's steps may move the outputs by."""
 _MOST_SUBSTEPS = 64

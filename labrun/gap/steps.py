@@ -11,17 +11,21 @@ from labrun.gap import numerics
 from labrun.models import Drive, simulate
 
 _FINER = 4
+"""Factor by which steps are shortened at a time."""
 _FINEST = 16
-"""Factor by which steps are shortened at a time, and most steps per sample."""
+"""Most steps per sample."""
 _QUICK = 3.0
+"""Intervals between samples up to which the pace of an effect's own states counts as quick."""
 _STEPS_FOLLOW = 0.01
-"""Intervals between samples that the pace of an effect's own states counts as quick up to."""
+"""Part of the change from one set of steps to the next below which shorter steps change nothing more."""
 _STEPS_STAY = 0.5
+"""Part of the allowed change of the squares that trials which keep longer steps may make up together."""
 _STEPS_STAY_IN_BASE = 0.1
-"""Where that moves it more, trials that together make up this part of what it may move by keep longer steps."""
+"""The same where the steps of the model without causes are chosen."""
 _SHORT_PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
+"""Parts of a trial in which steps are shortened, tried from the smallest."""
 _SHORT_BESIDE = 2
-"""Parts of a trial that are shortened, those that change most first, and intervals on both sides of them."""
+"""Intervals on both sides of a shortened one that are shortened, too."""
 
 
 def in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatArray] | None]:

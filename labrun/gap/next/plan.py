@@ -30,8 +30,9 @@ _PLANNED_SEEN = 5.0
 _PLANNED_ALIKE = 0.95
 """Cosine between changes above which these trials would not tell two effects apart."""
 _PLANNED_OWN = 8
+"""Most trials of the experiment itself that are looked at."""
 _PLANNED_OTHERS = 24
-"""Most trials of the experiment itself, and beside them, that are looked at."""
+"""Most other trials that are looked at."""
 _PLANNED_GAIN = 0.05
 """A further trial is worth it while it makes effects visible that are smaller by this, on average, in e-folds."""
 

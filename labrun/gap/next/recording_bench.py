@@ -15,6 +15,7 @@ from labrun.spec import condition_key, condition_text
 from labrun.store import saving
 
 _FACTORS = (0.25, 0.5, -1.0)
+"""Factors on recorded inputs."""
 _GENTLER = (0.5, 0.25)
 """Factors on the inputs at a condition nobody has tried."""
 _WARPS = (0.5, 2.0, 4.0)
@@ -24,7 +25,9 @@ _CYCLES = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
 _FEWEST_SAMPLES = 8.0
 """Of one cycle: faster sines are not sampled well enough to be believed."""
 _SHAPES = (1.0, 0.3)
+"""Amplitudes of a sine, in units of half the range of an input."""
 _BASES = 3
+"""Recorded trials that planned ones start from."""
 
 
 @dataclass(frozen=True)

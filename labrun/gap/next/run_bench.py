@@ -22,11 +22,15 @@ _BY_HAND_S = 60.0
 """What a change by hand counts for when trials are chosen (chosen."""
 
 _MOST = 60
+"""Most trials that are looked at."""
 _BASES = 4
+"""Measured conditions that planned ones start from."""
 _GENTLY = 0.25
+"""Factor on the other numbers of a motion where one of them goes further."""
 _UNSIGNED = ("Hz", "s")
 """Units of what is never below zero: a sine of negative frequency is one that begins the other way, and reads oddly."""
 _FROM_ZERO_DEG = (5.0, -5.0, 15.0, -15.0)
+"""Offsets that are tried where none was measured."""
 _FREED = {"frequency_hz": "Hz", "amplitude_deg": "deg", "offset_deg": "deg"}
 """Keys of a sine that an experiment may hold constant, and that the next one may vary."""
 

@@ -16,20 +16,24 @@ from labrun.gap.where.significance import NuisanceSubspace
 from labrun.models import Pointer, Simulation, Site, SiteKind, simulate, site_course
 
 _KNOTS_PER_CYCLE = 12
-"""Of the missing force."""
+"""Knots of the missing force per cycle."""
 _FEWEST_KNOTS = 8
+"""Fewest knots in a unit of data."""
 _MOST_KNOTS = 96
+"""Most knots in a unit of data."""
 _MOST_COEFFICIENTS = 640
-"""Knots of the missing force in a unit of data, and over all units."""
+"""Most knots over all units."""
 _FEWEST_FORCE_SAMPLES = 16
+"""Samples of a unit below which it has no missing force."""
 _MOST_FORCE_UNITS = 80
-"""Shorter units have no missing force."""
+"""Units of data beyond which none is looked for."""
 _FORCE_AS_GOOD = 0.02
 """Part of the excess by which a simulation may miss what its linearisation promised."""
 
 _RIDGE = 1e-6
 """Beside the roughness: keeps a constant nobody sees from growing without bound."""
 _PENALTIES = 50
+"""Weights of the roughness that are compared."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +147,9 @@ _LAWFUL = 0.5
 _VISIBLE = (0.03, 3.0)
 """Change of the outputs that a probing force should make, in units of the noise: seen well, and still small."""
 _PROBES = 40
+"""Sizes of a probing force that are tried, at most."""
 _ROUNDS = 3
+"""Linearisations of one force, at most."""
 
 
 @dataclass(frozen=True)

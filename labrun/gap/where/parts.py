@@ -24,8 +24,9 @@ _SLOW_MOTION = 0.1
 _OFF_CENTRE = 0.5
 """Part of half the travel by which its middle must be off zero to be told from it."""
 _NEAR_REVERSAL_S = 0.1
+"""Time before and after a reversal that counts as near it."""
 _PART_OF_STROKE = 0.2
-"""What lies this near a reversal, and at most this part of the time to the next one."""
+"""Part of the time between reversals that counts as near one, at most."""
 
 _FREQUENCIES = ("frequency", "freq", "f", "drive_frequency")
 

@@ -23,19 +23,22 @@ _FOUND_PERIOD_FIT = 0.8
 _OSCILLATES = 0.6
 """Part of the cycles' samples in which a site must move the way its fundamental does, for its strokes to be named."""
 _FEWEST_SPECTRUM_SAMPLES = 32
+"""Samples of a trial below which it has no spectrum."""
 _UNEVEN_STEPS = 0.05
-"""Shorter trials, and those whose steps differ by more than this part, have no spectrum."""
+"""Part by which its steps may differ for it to have one."""
 _AT_DRIVE = (0.7, 1.4)
 """Frequencies, in units of the drive's, that count as the drive's."""
 _LAST_HARMONIC = 10.5
 """Frequencies up to this many times the drive's count as its harmonics."""
 _BANDS = 5
+"""Bands of frequency of trials without a cycle."""
 _SLOWEST_CYCLES = 1.5
-"""Bands of trials without a cycle, and how many cycles of the first band's end a trial holds."""
+"""Cycles of the first band's end that a trial holds."""
 
 FREQUENCY_KEYS = ("frequency_hz", "freq_hz", "f_hz", "frequency", "freq", "f")
 PERIOD_KEYS = ("period_s", "period")
 _HARMONICS = 3
+"""Harmonics of the fundamental that describe a cycle."""
 
 
 @dataclass(frozen=True)

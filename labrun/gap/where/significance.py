@@ -126,9 +126,13 @@ Densities = Callable[[Sequence[FloatArray]], dict[str, FloatArray]]
 """Takes scaled residuals of every unit, and returns the density of each view."""
 
 _LEAST_SPREAD = 1e-9
+"""Spread below which draws do not scatter."""
 _NEXT_TO_NONE = 1e-9
+"""Least share, and least distance from the whole, of which log odds are taken."""
 _AS_GOOD_AS_KNOWN = 1e9
+"""Degrees of freedom of a variance that is as good as known."""
 _TRIALS = 60
+"""Redrawn trials that the scatter of a variance is taken from."""
 
 
 @dataclass(frozen=True)
