@@ -24,6 +24,8 @@ _TURNING = 100.0
 _PER_DECADE = 200
 _SPLINE_STRIDE = 4
 """Every so many points of that grid carry the cubic spline that python-control interpolates with, to some 1e-7."""
+_KNOTS_ASIDE, _KNOTS_APART = 4, 12
+"""It goes through so many of them on either side of a crossing, and through every twelfth elsewhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,7 +329,8 @@ def margins(gains: Gains, loop: OpenLoop) -> Margins:
         gains.frequency_response(loop.grid_rad_s, loop.step_s) * loop.grid_response,
     )
     used = slice(None, _last_decisive(curve) + 1, _SPLINE_STRIDE)
-    response = control.FRD(curve[used], omega[used], smooth=True)
+    knots = _knots(curve[used])
+    response = control.FRD(curve[used][knots], omega[used][knots], smooth=True)
     gain_margins, phases_deg, distances, oscillations, crossovers, _ = control.stability_margins(
         response, returnall=True
     )
@@ -347,6 +350,20 @@ def margins(gains: Gains, loop: OpenLoop) -> Margins:
         crossover_rad_s=float(np.max(crossovers, initial=0.0)),
         phase_crossover_rad_s=float(oscillates),
     )
+
+
+def _knots(curve: ComplexArray) -> NDArray[np.bool_]:
+    """Return which points of a curve its spline goes through, (n,): all near a margin, a few elsewhere.
+
+    python-control evaluates the spline point by point, and several times at every point it goes through.
+    """
+    distance = np.abs(1.0 + curve)
+    knots = np.zeros(len(curve), dtype=bool)
+    for side in (curve.imag > 0, np.abs(curve) > 1.0, np.diff(distance, prepend=distance[0]) > 0):
+        near = np.flatnonzero(side[1:] != side[:-1])[:, None] + np.arange(-_KNOTS_ASIDE, _KNOTS_ASIDE + 2)
+        knots[np.clip(near, 0, len(curve) - 1)] = True
+    knots[::_KNOTS_APART] = knots[: 2 * _KNOTS_ASIDE] = knots[-_KNOTS_ASIDE:] = True
+    return knots
 
 
 def ultimate(loop: OpenLoop) -> tuple[float, float]:
