@@ -230,8 +230,8 @@ def doubts(recording: Recording) -> Iterator[str]:
     places: dict[str, list[str]] = {}
     for trial in recording.trials:
         inputs, outputs = _by_name(recording.inputs, trial.inputs), _by_name(recording.outputs, trial.outputs)
-        for text, place in doubts_of_trial(trial.source_file.name, trial.time_s, inputs, outputs):
-            places.setdefault(text, []).append(place)
+        for text, where_in_trial in doubts_of_trial(trial.source_file.name, trial.time_s, inputs, outputs):
+            places.setdefault(text, []).append(where_in_trial)
     for text, where in places.items():
         more = f" and in {len(where) - 3} more places" if len(where) > 3 else ""
         yield f"{text} ({'; '.join(where[:3])}{more})"
