@@ -304,7 +304,8 @@ def _restarts(time_s: FloatArray) -> NDArray[np.int64]:
     for row in np.flatnonzero(np.diff(time_s) < 0.0) + 1:
         later = time_s[min(int(row) + _LEAST_RUN, len(time_s)) - 1]
         lasted = time_s[row - 1] - time_s[first]
-        if time_s[row] - time_s[first] < 0.5 * lasted and later < time_s[row - 1]:
+        long_enough = row - first >= _LEAST_RUN and lasted > 0.0
+        if long_enough and time_s[row] - time_s[first] < 0.5 * lasted and later < time_s[row - 1]:
             restarts.append(first := int(row))
     return np.array(restarts, dtype=np.int64)
 

@@ -16,14 +16,8 @@ from labrun.logs.tensors import read_pt
 from labrun.logs.text import read_text
 from labrun.toml import nearest
 
-
-def _read_csv(path: Path) -> Arrays:
-    table = read_text(path)
-    return Arrays(table.arrays, units=table.units, findings=table.findings)
-
-
 _ARRAYS: dict[str, Callable[[Path], Arrays]] = {
-    ".csv": _read_csv, ".tsv": _read_csv, ".txt": _read_csv, ".dat": _read_csv, ".npz": read_npz, ".npy": read_npz,
+    ".csv": read_text, ".tsv": read_text, ".txt": read_text, ".dat": read_text, ".npz": read_npz, ".npy": read_npz,
     ".h5": read_h5, ".hdf5": read_h5, ".mat": read_mat, ".pt": read_pt, ".pth": read_pt,
 }  # fmt: skip
 _STREAMS: dict[str, Callable[[Path], list[Stream]]] = {

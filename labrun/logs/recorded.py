@@ -74,7 +74,7 @@ def doubts_of_columns(file: Path, known: Collection[str]) -> Iterator[str]:
     `known`: the names of its channels, and ``time_s``.
     """
     try:
-        arrays = read_text(file).arrays
+        arrays = read_text(file).values
     except RecordingError:
         return  # what further columns hold is free
     further = [name for name in arrays if name not in known]

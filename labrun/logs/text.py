@@ -5,7 +5,6 @@ import io
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
 from typing import NoReturn
@@ -14,28 +13,22 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
+from labrun.logs.arrays import Arrays
 from labrun.logs.findings import Finding, Statement
 from labrun.logs.stamps import date_seconds, is_date, is_time
 from labrun.logs.streams import UNIT_WORDS, is_episode
 
 _EXPECTED = "a log in text has one header line, and a number in each cell below it"
-_CHUNK_ROWS = 20_000
+_CHUNK_ROWS = 4_000
+_BLANKS = ("", "na", "n/a", "null", "none", "-", "--")
+"""What programs write where there is no number, beside nan."""
 _MOST_BAD_CELLS = 0.05
 _SEPARATOR = re.compile(r"(?i)sep=([,;\t])")
 """A first line that tells Excel the delimiter."""
 _THOUSANDS = re.compile(r"-?\d{1,3}(\.\d{3})+,\d+")
 
 
-@dataclass(frozen=True)
-class TextTable:
-    """Columns of a file of text: ``arrays`` by name, ``units`` that its header states, and what was found."""
-
-    arrays: dict[str, FloatArray]
-    units: dict[str, str]
-    findings: tuple[Finding, ...]
-
-
-def read_text(path: Path) -> TextTable:
+def read_text(path: Path) -> Arrays:
     """Read a table of numbers.
 
     Raises
@@ -84,7 +77,7 @@ def _encoding(path: Path) -> tuple[str, list[Finding]]:
     return "utf-8-sig", []
 
 
-def _read(path: Path, file: io.TextIOWrapper, findings: list[Finding]) -> TextTable:
+def _read(path: Path, file: io.TextIOWrapper, findings: list[Finding]) -> Arrays:
     before, first = _first_line(path, file)
     stated = _SEPARATOR.fullmatch(first.strip().strip('"'))
     if stated:
@@ -135,7 +128,9 @@ def _read(path: Path, file: io.TextIOWrapper, findings: list[Finding]) -> TextTa
     if words:
         texts_in = [f"{name} ({cells[header.index(name)].strip()!r})" for name in words[:8]]
         findings.append(Statement(f"{path.name}: no number in {', '.join(texts_in)}; left out"))
-    return TextTable(arrays, {name: unit for name, unit in units.items() if unit}, tuple(findings))
+    return Arrays(
+        arrays, units={name: unit for name, unit in units.items() if unit}, findings=tuple(findings)
+    )
 
 
 def _first_line(path: Path, file: io.TextIOWrapper) -> tuple[int, str]:
@@ -194,7 +189,7 @@ def _parsed(
                 try:
                     block[row, index] = float(cell if delimiter == "," else cell.replace(",", "."))
                 except ValueError:
-                    if cell.strip():
+                    if cell.strip().lower() not in _BLANKS:
                         _require_no_thousands(path, line, header[index], cell)
                         count, first, what = bad.get(index, (0, line, cell.strip()))
                         bad[index] = count + 1, first, what

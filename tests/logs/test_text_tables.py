@@ -41,6 +41,14 @@ def test_the_line_that_tells_excel_the_delimiter_is_no_header(tmp_path):
     assert columns["a,b"] == pytest.approx(np.sin(0.1 * np.arange(60)), abs=1e-6)
 
 
+@pytest.mark.parametrize("blank", ["", "NA", "null", "nan", "-"])
+def test_a_cell_that_stands_for_no_number_is_blank(tmp_path, blank):
+    rows = [f"{row},{row},{row if row % 4 == 0 else blank}" for row in range(60)]
+    (tmp_path / "log.csv").write_text("\n".join(["time_ms,a,b", *rows]) + "\n")
+    counts = {stream.columns[0].name: len(stream.time_s) for stream in read_log(tmp_path / "log.csv")}
+    assert counts == {"a": 60, "b": 15}
+
+
 @given(
     delimiter=st.sampled_from([";", "\t"]),
     comma=st.booleans(),

@@ -140,10 +140,11 @@ def test_time_that_starts_anew_begins_an_episode(tmp_path):
     assert "log: time starts anew 2 times, at sample 61, 151: 3 episodes" in statements(stream.findings)
 
 
-def test_one_wrong_stamp_begins_no_episode(tmp_path):
+def test_a_wrong_stamp_and_a_table_that_runs_backwards_begin_no_episode(tmp_path):
     time_s = 0.01 * np.arange(200)
-    time_s[100] = 0.0
-    assert read(write(tmp_path / "log.csv", {"time_s": time_s, "a": np.arange(200.0)})).episode is None
+    wrong = np.where(np.arange(200) == 100, 0.0, time_s)
+    for stamps in (wrong, time_s[::-1]):
+        assert read(write(tmp_path / "log.csv", {"time_s": stamps, "a": np.arange(200.0)})).episode is None
 
 
 @pytest.mark.parametrize("other", ["timestamp", "sim_time", "receipt_time"])

@@ -108,6 +108,14 @@ def test_a_urdf_that_xacro_has_made_is_a_urdf(tmp_path):
     assert len(robot_of(tmp_path, text, "arm.urdf").joints) == 1
 
 
+def test_a_negative_mass_is_named_with_its_link(tmp_path):
+    text = URDF.format(base='<link name="base"/>', izz="1e-3").replace(
+        'mass value="0.5"', 'mass value="-0.5"'
+    )
+    with pytest.raises(ModelError, match=r"link upper has a mass of -0.5 kg"):
+        robot_of(tmp_path, text, "arm.urdf", repair=True)
+
+
 @pytest.mark.parametrize("izz", ["9e-3", "-1e-3"])
 def test_an_inertia_that_no_body_can_have_is_named_and_repaired_if_asked(tmp_path, izz):
     text = URDF.format(base='<link name="base"/>', izz=izz)

@@ -56,13 +56,18 @@ def check_inertias(spec: Any, path: Path, *, repair: bool) -> list[str]:
 
     The moments of a body are sums of squares: none is more than the other two together, and all are positive.
 
-    Raises ModelError: there are such bodies, and `repair` is False.
+    Raises ModelError: a mass is negative, or there are such inertias and `repair` is False.
     """
     if spec.compiler.balanceinertia:
         return []
     wrong: list[str] = []
     remarks = []
     for body in spec.bodies[1:]:
+        if body.explicitinertial and body.mass < 0.0:
+            raise ModelError(
+                f"{path}: link {body.name} has a mass of {body.mass:g} kg; a positive number was expected",
+                hint="correct its mass in the file: --repair replaces inertias alone",
+            )
         if not body.explicitinertial or not np.isfinite(body.mass) or body.mass <= 0.0:
             continue
         full = np.asarray(body.fullinertia, dtype=np.float64)
