@@ -5,10 +5,14 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from pathlib import Path
 
 import pytest
+
+from labrun.devices.processes.watchdog import Stoppable, stop_everything
+from labrun.errors import DeviceError
 
 RUNNER = """
     import sys
@@ -151,6 +155,45 @@ def test_ctrl_c_reaches_the_runner_and_not_the_watchdog(runner):
     assert b"interrupted by Ctrl-C" in errors
     assert any(line == f"safe_stop tail {process.pid}" for line in lines(log))
     assert not any(line.startswith("emergency_stop") for line in lines(log))
+
+
+class Servo:
+    """A servo whose port another process holds for the first few attempts to stop it."""
+
+    def __init__(self, attempts_refused):
+        self.attempts_refused = attempts_refused
+
+    def emergency_stop(self, name, settings):
+        if self.attempts_refused:
+            self.attempts_refused -= 1
+            raise DeviceError(name, "another program holds /dev/ttyUSB0")
+
+
+class HangingServo:
+    """A servo whose stop does not return."""
+
+    def emergency_stop(self, name, settings):
+        threading.Event().wait()
+
+
+def test_a_port_that_a_dying_runner_still_holds_is_tried_again_until_it_is_free():
+    servo = Stoppable("tail", Servo(attempts_refused=3), None)
+    assert stop_everything([servo], "the runner died") == ["labrun watchdog: the runner died; stopped tail"]
+
+
+def test_a_stop_that_hangs_or_fails_keeps_no_other_actuator_moving(monkeypatch):
+    monkeypatch.setattr("labrun.devices.processes.watchdog._HANGING_S", 0.1)
+    devices = {
+        "left": HangingServo(),
+        "right": Servo(attempts_refused=1000),
+        "tail": Servo(attempts_refused=0),
+    }
+    left, right, tail = stop_everything(
+        [Stoppable(name, servo, None) for name, servo in devices.items()], "the runner died", patience_s=0.1
+    )
+    assert left.endswith("could not stop left: its emergency_stop() does not return")
+    assert "could not stop right: DeviceError: device right: another program holds" in right
+    assert tail.endswith("stopped tail")
 
 
 def test_the_watchdog_imports_nothing_heavy():

@@ -10,10 +10,12 @@ import os
 import select
 import signal
 import sys
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from labrun.devices.clock import RealClock
 from labrun.interrupts import ignore_signals
 from labrun.registry import load
 
@@ -25,6 +27,10 @@ _ALARM_SHARE = 0.8
 """After this share of the time-out the runner is asked to break off the call that hangs; after all of it, killed."""
 _DYING_S = 2.0
 """How long a killed runner may take to let go of its ports."""
+_RETRY_S = 0.05
+"""Pause between two attempts to stop a device."""
+_HANGING_S = 10.0
+"""How much longer than the attempts the stops may take before one of them counts as hanging."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,18 +48,43 @@ def load_stoppable(name: str, plugin: str, settings: dict[str, Any]) -> Stoppabl
     return Stoppable(name, make, make.Settings.model_validate(settings))
 
 
-def stop_everything(devices: Sequence[Stoppable], why: str) -> list[str]:
-    """Call `emergency_stop` of every plugin; a failure does not prevent the others."""
-    lines = []
-    for device in devices:
-        try:
-            device.make.emergency_stop(device.name, device.settings)
-            lines.append(f"labrun watchdog: {why}; stopped {device.name}")
-        except Exception as error:  # a plugin may raise anything; the next actuator still gets its stop
-            lines.append(
-                f"labrun watchdog: {why}; could not stop {device.name}: {type(error).__name__}: {error}"
-            )
-    return lines
+def stop_everything(devices: Sequence[Stoppable], why: str, patience_s: float = _DYING_S) -> list[str]:
+    """Call every plugin's `emergency_stop`, all at the same time; return one sentence for each device.
+
+    A stop that fails is tried again for `patience_s`: a dying runner may hold its ports a moment longer than its pipe.
+    A device that hangs, or whose stop fails, does not keep the others from theirs.
+    """
+    clock = RealClock()
+    results: dict[str, str] = {}
+
+    def stop(device: Stoppable) -> None:
+        deadline_s = clock.now() + patience_s
+        while True:
+            try:
+                device.make.emergency_stop(device.name, device.settings)
+            except Exception as error:  # a plugin may raise anything
+                results[device.name] = f"could not stop {device.name}: {type(error).__name__}: {error}"
+            else:
+                results[device.name] = f"stopped {device.name}"
+                return
+            if clock.now() >= deadline_s:
+                return
+            clock.sleep(_RETRY_S)
+
+    threads = [
+        threading.Thread(target=stop, args=(device,), daemon=True, name=f"stop {device.name}")
+        for device in devices
+    ]
+    for thread in threads:
+        thread.start()
+    deadline_s = clock.now() + patience_s + _HANGING_S
+    for thread in threads:
+        thread.join(max(0.0, deadline_s - clock.now()))
+    return [
+        f"labrun watchdog: {why}; "
+        + results.get(device.name, f"could not stop {device.name}: its emergency_stop() does not return")
+        for device in devices
+    ]
 
 
 def watch(
