@@ -11,8 +11,9 @@ import numpy as np
 
 from labrun.devices import Excess, FloatArray, Limits
 from labrun.devices.clock import SimulatedClock
-from labrun.errors import LabrunError, PlanError, SpecError, StoreError
+from labrun.errors import ExperimentError, LabrunError, PlanError, SpecError, StoreError
 from labrun.notebook import as_reported
+from labrun.objectives import TrialSignals
 from labrun.runner.motion import Envelope, MotionMaker, TrialMotion, loop_notes, smooth_move
 from labrun.runner.rig import Rig
 from labrun.runner.settle import settle_estimate_s, watched_channels
@@ -327,6 +328,7 @@ class Planner:
         broken: list[ConditionExcess] = []
         times: list[float] = []
         samples: list[float] = []
+        without_cycle: list[str] = []
         for condition in conditions:
             motion = self._motion(condition)
             worst = self._motions.envelope(condition)
@@ -339,6 +341,8 @@ class Planner:
                 peaks.take(worst.joints, worst.low_deg, worst.high_deg, worst.speed_deg_s)
             times.append(self._trial_s(motion))
             samples.append(motion.kept_s)
+            if reason := self._lacks_whole_cycle(motion, condition):
+                without_cycle.append(f"{condition_text(condition)}: {reason}")
             if excess := self._excess(motion, worst):
                 broken.append(ConditionExcess(condition, tuple(excess)))
         broken += self._fixed_excess()
@@ -362,7 +366,11 @@ class Planner:
             peaks=tuple(self._peaks(peaks)),
             rates_hz={name: sensor.rate_hz for name, sensor in self._rig.sensors.items()},
             excess=tuple(broken),
-            notes=(*loop_notes(self._experiment.track), *self._unlimited(peaks)),
+            notes=(
+                *loop_notes(self._experiment.track),
+                *self._unlimited(peaks),
+                *_cycle_notes(without_cycle, len(conditions)),
+            ),
             advice=_ADVICE if self._experiment.track is None else _LOOP_ADVICE,
         )
 
@@ -370,6 +378,29 @@ class Planner:
         for device in dict.fromkeys(self._rig.joints[joint] for joint in peaks.low_deg):
             if self._rig.limits[device] == Limits():
                 yield f"{device} has no limit set: whatever is asked of its joints will be commanded"
+
+    def _lacks_whole_cycle(self, motion: TrialMotion, condition: Condition) -> str:
+        """Return why no whole cycle of the recording counts; empty if one does, or no objective asks for one."""
+        trial = self._experiment.trial
+        if not self._experiment.objectives or motion.most_cycles is not None:
+            return ""
+        signals = TrialSignals(
+            signals={},
+            command=motion.trajectory,
+            start_s=0.0,
+            end_s=motion.duration_s,
+            period_s=motion.period_s,
+            discard_cycles=trial.discard_cycles,
+            counts_from_s=motion.counts_from_s,
+            condition=condition,
+            average=trial.average,
+            frequencies_hz=motion.frequencies_hz,
+        )
+        try:
+            signals.window()
+        except ExperimentError as error:
+            return str(error.args[0])
+        return ""
 
     def _motion(self, condition: Condition) -> TrialMotion:
         try:
@@ -438,6 +469,16 @@ class Planner:
                 limits.angle_deg,
                 limits.speed_deg_s,
             )
+
+
+def _cycle_notes(reasons: Sequence[str], conditions: int) -> list[str]:
+    """Return what to say of conditions whose recordings hold no whole cycle that counts."""
+    if not reasons:
+        return []
+    return [
+        f"{len(reasons)} of {conditions} conditions record no whole cycle of the gait that counts, and their trials "
+        f"fail at an objective over whole cycles; {reasons[0]}; give trial.cycles, or a longer trial.duration_s"
+    ]
 
 
 def _settle_at_most_s(rule: Settle | None) -> float:

@@ -38,3 +38,13 @@ def test_a_watchdog_less_patient_than_a_stop_is_refused(timeout_s):
         SpecError, match=r"rig.watchdog_s = .* is shorter than the 2 s that devices get to stop"
     ):
         Planner(experiment_with(rig__watchdog_s=timeout_s)).plan([CONDITION])
+
+
+def test_conditions_whose_recording_holds_no_whole_cycle_are_told_before_anything_moves():
+    experiment = experiment_with(trial__cycles=None, trial__duration_s=1.5, trial__discard_cycles=0)
+    plan = Planner(experiment).plan([{"a": 10, "f": 0.5}, {"a": 10, "f": 1.0}])
+    assert plan.notes == (
+        "1 of 2 conditions record no whole cycle of the gait that counts, and their trials fail at an objective over "
+        "whole cycles; a = 10, f = 0.5: the recording of 1.5 s holds no whole cycle of 2 s after the 0 that are "
+        "discarded; give trial.cycles, or a longer trial.duration_s",
+    )
