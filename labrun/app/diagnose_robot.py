@@ -18,6 +18,7 @@ from labrun.gap import (
     RobotDiagnosis,
     check_file,
     diagnose_robot,
+    differences_between_logs,
     require_new,
     why_not,
 )
@@ -146,8 +147,9 @@ def diagnose_joints(
             state = "; no diagnosis was written; joints that are done are kept"
             raise Interrupted(number_of(stop), state, hint="the same command resumes them") from None
         raise
+    by_log = differences_between_logs(robot, question.model, question.dataset, diagnosis.to_json(), note=note)
     resumed = ("joints that an earlier run had done are taken from it",) if done.resumed else ()
-    remarks = (*robot.remarks, *diagnosis.remarks, *resumed)
+    remarks = (*robot.remarks, *by_log, *diagnosis.remarks, *resumed)
     diagnosis = replace(diagnosis, source=str(folder), remarks=remarks)
     numbers, check = diagnosis.to_json(), None
     if save_model is not None:

@@ -66,7 +66,7 @@ def corrections(
     """
     folds = int(fold.max()) + 1
     nothing = [Correction({}, (), 0)] * (folds + 1)
-    problem, start = _problem(joint, effects, released, corrected)
+    problem, start = problem_of(joint, effects, released, corrected)
     if problem is None:
         values = {
             parameter.name: corrected[parameter.name]
@@ -87,14 +87,16 @@ def corrections(
     return fitted
 
 
-def _problem(
+def problem_of(
     joint: OneJoint,
     effects: Sequence[AttachedEffect],
     released: Sequence[str],
     corrected: Mapping[str, float],
 ) -> tuple[Problem | None, FloatArray]:
     """Return the problem of a joint with its causes, and where its diagnosis ended; None if it does not simulate."""
-    trials = tuple(replace(trial, members=(trial.outputs,)) for trial in joint.dataset.trials)
+    trials = tuple(
+        replace(trial, members=trial.members or (trial.outputs,)) for trial in joint.dataset.trials
+    )
     plain = stated_problem(joint.model, replace(joint.dataset, trials=trials))
     try:
         scales = site_scales(plain, plain.begin())
