@@ -45,11 +45,12 @@ def around(xml: str, masses: Mapping[str, str]) -> tuple[list[str], dict[str, st
             for name in (ROLL, PITCH)
         ]
         equations |= _gravity([float(component) for component in model.opt.gravity])
-        parameters.append(f"{HELD} = {{ value = 0.0, tolerance = 0.0, lower = -1.2, upper = 1.2 }}")
-        equations |= {
-            f"body.{name}.gravcomp": f"{float(model.body_gravcomp[model.body(name).id])!r} + {HELD}"
-            for name in masses
-        }
+        if masses:  # bodies without a name, and those without a mass, cannot be held
+            parameters.append(f"{HELD} = {{ value = 0.0, tolerance = 0.0, lower = -1.2, upper = 1.2 }}")
+            equations |= {
+                f"body.{name}.gravcomp": f"{float(model.body_gravcomp[model.body(name).id])!r} + {HELD}"
+                for name in masses
+            }
     for name, mass_of in masses.items():
         equations |= _in_proportion(model, name, mass_of)
     body = tip_body(model)
