@@ -56,9 +56,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(pytest.mark.xdist_group(module_path))
 
 
+def pytest_collection_finish() -> None:
+    """Leave what was collected and imported out of every later collection of garbage."""
+    gc.freeze()
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Take two workers more than there are cores: tests of drivers mostly wait for emulated devices in real time."""
+    """Take two workers more than there are cores: a third of what tests take is waiting for devices and processes."""
     return (os.cpu_count() or 1) + 2
 
 
