@@ -81,7 +81,7 @@ class DeviceError(ExperimentError):
         """When it was seen, by the run's clock."""
 
     def happened(self, during: str, start_s: float) -> None:
-        """Say in the message when it was seen, counted from the start of what was going on."""
+        """Add the time of the error to its message, counted from the start of the current step."""
         if self.clock_s is not None:
             self.args = (f"{self.args[0]} {during}, {self.clock_s - start_s:.3f} s after its start",)
 

@@ -1,4 +1,4 @@
-"""A fitted number with its interval, and how many digits of a number mean something."""
+"""A fitted number with its interval and significant digits."""
 
 import math
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ _NOT_NOTHING = 5e-3
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A fitted number with its 95 % interval, in its unit; an interval without width is none: nobody knows it."""
+    """A fitted number with its 95 % interval, in its unit; an interval without width means unknown."""
 
     value: float
     ci95: tuple[float, float]
@@ -27,7 +27,7 @@ class Estimate:
 
     @property
     def contains_zero(self) -> bool:
-        """Tell whether the interval cannot tell the number from zero."""
+        """Tell whether the interval contains zero."""
         return self.ci95[0] <= 0.0 <= self.ci95[1]
 
 

@@ -52,7 +52,7 @@ class Interrupted(LabrunError):  # noqa: N818  being asked to stop is no error
 
 
 def signal_name(number: int) -> str:
-    """Return what a person calls a signal."""
+    """Return the usual name of a signal."""
     return _NAMES.get(signal.Signals(number), signal.Signals(number).name)
 
 
@@ -62,7 +62,7 @@ def exit_code(number: int) -> int:
 
 
 def number_of(error: KeyboardInterrupt) -> int:
-    """Return the signal that an exception stands for."""
+    """Return the signal number of an exception."""
     return error.number if isinstance(error, StopSignal) else int(signal.SIGINT)
 
 
@@ -184,7 +184,7 @@ class Interrupts:
 
 @contextmanager
 def handled() -> Iterator[Interrupts]:
-    """Take the three signals; within another such block that one goes on.
+    """Handle the three signals; an outer block of this kind stays in charge.
 
     Outside of the main thread, where Python has no signal handlers, nothing is installed. A SIGHUP that is ignored
     (nohup) stays ignored.

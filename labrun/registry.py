@@ -45,7 +45,7 @@ _folders: dict[Path, None] = {}
 
 
 def look_beside(file: Path) -> None:
-    """Let "package.module:Class" name modules in the folder of an experiment file, too."""
+    """Let "package.module:Class" also name modules in the folder of an experiment file."""
     _folders[file.resolve().parent] = None
 
 
@@ -139,7 +139,7 @@ def is_installed(group: str, name: str) -> bool:
 
 
 def _kind(group: str) -> str:
-    """Return what a plugin of a group is called in messages."""
+    """Return the word for a plugin of a group in messages."""
     return group.removeprefix("labrun.").removesuffix("s")
 
 

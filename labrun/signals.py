@@ -51,7 +51,7 @@ class Signal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signals:
-    """What one device measured in one trial, what was commanded, or how the bench came to rest.
+    """Signals of one trial: of a device, of the command, or of settling.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ class Signals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LongSignals:
-    """Signals too long for memory: as `Signals`, but made when asked for, a piece at a time.
+    """Signals too long for memory: as `Signals`, but read in pieces on demand.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What an effect is: physics a model may lack, with a few bounded parameters, at one kind of site."""
+"""Effects: terms that a model may lack, with a few bounded parameters, at one kind of site."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

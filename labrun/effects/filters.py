@@ -1,4 +1,4 @@
-"""Effects that no equation says: delay, exact lag, rate limit and profile of a signal, and an echo from walls."""
+"""Effects without an equation: delay, exact lag, rate limit and motion profile of a signal, and wall echo."""
 
 # ruff: noqa: ARG001 - the signature is fixed, whatever of it a form uses
 
@@ -17,7 +17,7 @@ _SECTIONS = 4
 def rate_limit(
     before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer
 ) -> None:
-    """Write what follows the signal at no more than the rate; `memory` holds it."""
+    """Limit the rate of a signal; `memory` holds the output."""
     if dt == 0.0:
         memory[0] = after[0]
     out[0] = memory[0]
@@ -39,7 +39,7 @@ def rate_limit(
 def motion_profile(
     before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer
 ) -> None:
-    """Write what runs to the signal in the least time, with bounded speed and acceleration, and rests there.
+    """Follow a signal time-optimally with bounded speed and acceleration.
 
     `memory` is where it is, and its speed. It goes to where the piece of the signal ends: a drive follows goals that
     are held. Phases of constant acceleration: until the top speed, at it, and until rest.
@@ -91,7 +91,7 @@ def motion_profile_memory(values: Sequence[float], shortest_s: float) -> int:
 
 
 def play(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:
-    """Write what stays until the signal is half the width away; `memory` holds it."""
+    """Apply play (backlash) to a signal; `memory` holds the output."""
     half = 0.5 * values[0]
     if dt == 0.0:
         memory[0] = after[0]
@@ -119,14 +119,14 @@ def lag(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Poi
 
 
 def ahead(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:
-    """Write where the signal, with the slope of its piece, is ``values[0]`` seconds later."""
+    """Extrapolate the signal linearly by ``values[0]`` seconds."""
     further = values[0] * (after[0] - before[0]) / dt if dt > 0.0 else 0.0
     out[0] = before[0] + further
     out[1] = after[0] + further
 
 
 def delay(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:
-    """Write what the signal was ``values[0]`` seconds ago, interpolated within the piece it then was in.
+    """Delay the signal by ``values[0]`` seconds, interpolated within its piece.
 
     `memory` is the time now, the number of pieces seen, the piece being read, the slots of the ring, and the ring of
     pieces: begin, end, value at the begin, value at the end. Reading only ever moves on, so that a call costs the same

@@ -1,4 +1,4 @@
-"""The effects there are: in TOML files, whose equations say what is simulated, and behind entry points."""
+"""Read effects from TOML files and entry points."""
 
 import functools
 from collections.abc import Collection, Iterator, Mapping

@@ -1,4 +1,4 @@
-"""Fitting: what a model's parameters are, how sure, and what is left. What a fit by plugin builds on stands here."""
+"""Fitting: parameters, intervals and residuals; the base of fit plugins."""
 
 import sys
 

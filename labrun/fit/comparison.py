@@ -1,4 +1,4 @@
-"""A prediction, or another run, beside what was measured: nothing is fitted, the worst point comes first."""
+"""Compare a prediction or another run with measurements, without fitting; the worst point comes first."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ LEAST_SIZE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """One quantity of one trial, or of the mean of a condition's trials, and what is held against it.
+    """One measured quantity and its prediction, of a trial or of the mean over a condition.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class ComparedPoint:
-    """How far a prediction is off in one channel under one condition.
+    """The error of a prediction in one channel at one condition.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class ComparedPoint:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Measured beside predicted, condition by condition.
+    """Measured and predicted values, condition by condition.
 
     Attributes
     ----------
@@ -214,7 +214,7 @@ Key = tuple[tuple[str, float | str], ...]
 
 @dataclass(frozen=True)
 class Side:
-    """What a run or recording can be compared by.
+    """One side of a comparison: numbers and signals of a run or recording.
 
     Numbers are a run's objectives, or the outputs of a recording whose trials are rows of a table; signals are
     everything that was recorded over time.
@@ -270,7 +270,7 @@ class Side:
         return frozenset(set.intersection(*conditions)) if conditions else frozenset()
 
     def by_condition(self, names: Iterable[str]) -> dict[Key, list[TrialOutcome]]:
-        """Return its trials by what these names are in them."""
+        """Return the trials by the values of these names."""
         groups: dict[Key, list[TrialOutcome]] = {}
         wanted = sorted(names)
         for outcome in self.outcomes:
@@ -311,7 +311,7 @@ def told_apart(data: Run, other: Run) -> tuple[str, str]:
 
 
 def paired(data: Run, other: Run) -> tuple[list[Pair], tuple[str, ...]]:
-    """Return what two runs or recordings have in common, and what had to be left out.
+    """Return the quantities common to two runs or recordings, and remarks on those left out.
 
     Numbers of the same name are compared where there are any, else signals of the same name (``cameras.angle`` is the
     same as a recording's ``angle``), on the times of `data`. Conditions are the same if they agree in all names that
@@ -392,7 +392,7 @@ _Beside = tuple[FloatArray, FloatArray, FloatArray, int]
 
 
 def _same_conditions(mine: Side, theirs: Side) -> frozenset[str]:
-    """Return the names by which conditions of both are told apart."""
+    """Return the condition names common to both."""
     for side in (mine, theirs):
         if not side.outcomes:
             raise RequestError(f"{side.name} has no accepted trial", hint="labrun show tells why")
@@ -454,5 +454,5 @@ def _some(keys: Iterable[Key]) -> str:
 
 
 def _rounded(value: float | str) -> float | str:
-    """Return a value that is the same whoever wrote its last digits."""
+    """Return a value rounded so that formatting does not matter."""
     return value if isinstance(value, str) else float(f"{value:.9g}")

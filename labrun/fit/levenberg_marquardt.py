@@ -1,4 +1,4 @@
-"""The search for the best parameters: several starts, each a descent in the block structure of trials."""
+"""Multi-start Levenberg-Marquardt that exploits the block structure of trials."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -203,7 +203,7 @@ def _bounds(z: FloatArray, shared: FloatArray, own: float) -> FloatArray:
 
 
 def _carried_on(jacobian: Jacobian, step: FloatArray, residual: list[FloatArray], size: int) -> Jacobian:
-    """Return derivatives that would have foretold what a step led to, each trial's changed as little as possible."""
+    """Return Broyden-updated derivatives that reproduce the last step, trial by trial."""
     shared_step, own_steps = step[:size], step[size:].reshape(len(residual), -1)
     shared, own = [], []
     for mine, theirs, before, after, own_step in zip(
@@ -314,7 +314,7 @@ def search(problem: Problem, rng: np.random.Generator, *, starts: int, note: Not
 
 
 def _joined(shared: FloatArray, known: Sequence[Minimum]) -> Minimum | None:
-    """Return the known minimum whose valley this point lies in."""
+    """Return the known minimum that this point leads to."""
     for minimum in known:
         there = minimum.z[: len(shared)]
         if np.all(np.abs(shared - there) <= _SAME * np.maximum(np.abs(shared), np.abs(there))):

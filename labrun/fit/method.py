@@ -1,4 +1,4 @@
-"""What a way of fitting is: a plugin that turns recorded data into numbers with intervals."""
+"""The protocol of fit methods: plugins that turn data into estimates with intervals."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

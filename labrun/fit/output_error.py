@@ -53,7 +53,7 @@ class ResidualSize:
 
 
 class ModelFit(WithSettings[NoSettings]):
-    """Output error: the model is simulated, and its parameters are those whose outputs come nearest to the measured."""
+    """Output-error fit: the parameters whose simulated outputs are nearest to the measured ones."""
 
     Settings: ClassVar[type[BaseModel]] = NoSettings
 

@@ -1,4 +1,4 @@
-"""A model with effects beside measured trials: residuals in units of noise, derivatives, where a search begins."""
+"""A model with effects and measured trials: residuals in units of noise, derivatives, starting values."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -146,7 +146,7 @@ class Problem:
 
     @property
     def behind(self) -> int:
-        """Number of rows behind the samples of a trial's residual: what is read of initial states, and deviations."""
+        """Number of residual rows after the samples of a trial: initial states and deviations."""
         return len(self.states.read) + len(self.deviations)
 
     @property

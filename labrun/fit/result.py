@@ -1,4 +1,4 @@
-"""What a fit found, as data and as aligned text: estimates, sentences, tables, files, and what its figure shows."""
+"""The result of a fit, as data and text: estimates, remarks, tables, files, figure."""
 
 import shutil
 import textwrap
@@ -144,7 +144,7 @@ class TextTable:
 
 @dataclass(frozen=True, slots=True)
 class FitSummary:
-    """What a fit found; what every way of fitting gives back.
+    """The result that every fit method returns.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The signals a fit is made of: what its settings name, from runs and recordings, on one even time base."""
+"""Signals for a fit, from runs and recordings, on one even time base."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

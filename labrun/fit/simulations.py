@@ -1,4 +1,4 @@
-"""Many simulations: side by side, in their order; counted; and the last ones kept, which many candidates share."""
+"""Run many simulations in parallel, in order and counted, with a cache of the latest."""
 
 import threading
 from collections import OrderedDict

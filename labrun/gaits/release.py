@@ -26,7 +26,7 @@ class ReleaseGait(ExpressionGait):
 
     @staticmethod
     def has_cycle(joints: Mapping[str, Mapping[str, Given]]) -> bool:  # noqa: ARG004
-        """Tell that there is no cycle to count."""
+        """Return False: the motion has no cycle."""
         return False
 
     def period_s(self, condition: Condition) -> float | None:  # noqa: ARG002

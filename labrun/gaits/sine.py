@@ -36,7 +36,7 @@ class SineGait(ExpressionGait):
 
     @staticmethod
     def has_cycle(joints: Mapping[str, Mapping[str, Given]]) -> bool:
-        """Tell that the motion repeats."""
+        """Return True: the motion repeats."""
         return bool(joints)
 
     def period_s(self, condition: Condition) -> float | None:

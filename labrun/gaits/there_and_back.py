@@ -42,7 +42,7 @@ class _ThereAndBack(ExpressionGait):
 
     @staticmethod
     def has_cycle(joints: Mapping[str, Mapping[str, Given]]) -> bool:
-        """Tell that there and back again is a cycle."""
+        """Return True: there and back is one cycle."""
         return bool(joints)
 
     def period_s(self, condition: Condition) -> float | None:

@@ -1,4 +1,4 @@
-"""Maps learned from data: networks with their scaling, kept as plain arrays beside a TOML file, and trained anew."""
+"""Maps learned from data: networks with scaling, stored as plain arrays with a TOML file, and their training."""
 
 from labrun.learned.artefact import (
     INVERSES,

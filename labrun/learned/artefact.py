@@ -1,4 +1,4 @@
-"""A learned model as two files: what it is in TOML, its numbers in npz beside it. Nothing in them is executed."""
+"""A learned model as two files: a description in TOML and weights in npz. Reading them executes nothing."""
 
 import hashlib
 import io
@@ -24,7 +24,7 @@ _FORM = 1
 
 @dataclass(frozen=True, slots=True)
 class LearnedModel:
-    """A network, and what it is a map from and to.
+    """A network with its inputs and outputs.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ def files_of(model: LearnedModel, stem: str) -> dict[str, str | bytes]:
 
 
 def read_learned(path: Path) -> LearnedModel:
-    """Read a model from its TOML file and the npz beside it.
+    """Read a model from its TOML and npz files.
 
     Raises
     ------

@@ -17,7 +17,7 @@ _ROUNDING, _ROUNDING_S = 1e-9, 1e-10
 def read_outputs_ahead(
     model: Model, outputs: FloatArray, steps_s: FloatArray, effects: Sequence[AttachedEffect]
 ) -> None:
-    """Put what an output is later in place of what it is, in place; after the last step it goes on straight."""
+    """Advance an output in time, in place; after the last step it is extrapolated linearly."""
     if not steps_s.size:
         return
     time_s = np.concatenate([[0.0], np.cumsum(steps_s)])
@@ -33,7 +33,7 @@ def read_outputs_ahead(
 def inputs_ahead(
     model: Model, u: FloatArray, u_last: FloatArray, steps_s: FloatArray, effects: Sequence[AttachedEffect]
 ) -> FloatArray:
-    """Return inputs (steps, 3, inputs) that are what they were some time later; the last sample stands from then on.
+    """Return inputs (steps, 3, inputs) advanced in time; the last sample is held.
 
     In steps in which they jump, the middle and the end are moved so that a classical Runge-Kutta step is right to what
     the input makes of rates (its mean, by Simpson's rule) and of coordinates (its first moment): steps need not be so
@@ -76,7 +76,7 @@ class _Pieces:
         self._twice = np.concatenate([[0.0], np.cumsum(twice)[:-1]])
 
     def jumps_within(self, begin_s: FloatArray, end_s: FloatArray) -> NDArray[np.bool_]:
-        """Tell where it jumps between two times."""
+        """Return the jumps between two times."""
         jumps_s = self._since_s[1:][self._begin[1:] != self._end[:-1]]
         before, until = (
             np.searchsorted(jumps_s, time) for time in (begin_s + _ROUNDING_S, end_s - _ROUNDING_S)

@@ -93,7 +93,7 @@ def _own_model(file: ModelFile) -> Model:
 
 
 def _origin(file: ModelFile) -> Origin:
-    """Return where a corrected model says it comes from; files are counted from the folder of its own."""
+    """Return the origin of a corrected model; paths are relative to its folder."""
     table, folder = file.data["corrected"], Path(file.name).parent
     named = (table["from"], table.get("by", ""))
     return Origin(*(str(folder / name) if name and (folder / name).exists() else name for name in named))

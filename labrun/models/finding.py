@@ -1,4 +1,4 @@
-"""Which file a model's name stands for: a path, a model that ships with labrun, or none."""
+"""Find the file of a model: a path, a shipped model, or none."""
 
 from pathlib import Path
 

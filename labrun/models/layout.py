@@ -118,7 +118,7 @@ def layout(model: Model, effects: Sequence[AttachedEffect]) -> Layout:
 
 
 def law_values(laid_out: Layout, effects: Sequence[AttachedEffect]) -> FloatArray:
-    """Return the values of all laws, one behind the other."""
+    """Return the concatenated values of all laws."""
     if not laid_out.acting:
         return _NO_NUMBERS
     return np.array([value for index in laid_out.acting for value in effects[index].values], dtype=float)

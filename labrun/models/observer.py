@@ -1,4 +1,4 @@
-"""A model that what was measured keeps on course: an observer around the equations of any other."""
+"""Stabilise a model by measured outputs: an observer around its equations."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -47,12 +47,12 @@ class ObservedModel(Model):
 
 
 def measured_name(output: str) -> str:
-    """Return what the input is called that takes an output as it was measured."""
+    """Return the name of the input that takes a measured output."""
     return f"{output}_measured"
 
 
 def observed(model: Model, gain: FloatArray, condition: Condition) -> ObservedModel:
-    """Return a model that is kept on course by what was measured.
+    """Return a model stabilised by measured outputs.
 
     After Luenberger, IEEE Trans. Automatic Control 11 (1966) 190. Its measured outputs are prescribed inputs, and its
     outputs are no places where something could be missing: what a sensor does to them moves the simulation as well.

@@ -183,7 +183,7 @@ def _values_hold(file: ModelFile, path: KeyPath, effect: Effect, table: EffectTa
 
 
 def _wanted(parameter: EffectParameter, value: float) -> str:
-    """Return what is expected of a value that is impossible at any site; "" of one that is not.
+    """Return what is expected of an impossible value; "" if it is possible.
 
     A bound of 0 holds whatever the site's typical magnitudes are.
     """

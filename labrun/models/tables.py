@@ -1,4 +1,4 @@
-"""The tables of a model file, and the file while it is read: all that is wrong with it is told together."""
+"""The tables of a model file, and its reader, which reports all faults together."""
 
 # ruff: noqa: RUF012 - pydantic copies defaults
 
@@ -92,7 +92,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Bounded(Table):
-    """What is known of a parameter beside its value."""
+    """Prior and bounds of a parameter."""
 
     model_config = ConfigDict(allow_inf_nan=True)
 
@@ -134,7 +134,7 @@ class InputTable(Table):
 
 
 class MujocoInput(InputTable):
-    """An input, and what it drives."""
+    """An input and the element it drives."""
 
     mjcf: str
 
@@ -147,7 +147,7 @@ class OutputTable(Table):
 
 
 class MujocoOutput(Table):
-    """An output, and what it shows."""
+    """An output and the quantity it shows."""
 
     mjcf: str
     unit: str = "1"
@@ -165,7 +165,7 @@ class SiteTable(Table):
     unit: Literal["", "rad", "m"] = ""
 
     def text(self, quantity: str) -> str:
-        """Return one of its equations as it was typed; "" where the file has none."""
+        """Return an equation as written in the file; "" if absent."""
         return str(getattr(self, quantity).text) if quantity in self.model_fields_set else ""
 
 
@@ -213,7 +213,7 @@ class CorrectedTable(Table):
 
 
 class SystemFile(Table):
-    """What any model file with a system of its own says."""
+    """Keys of every model file with a system of its own."""
 
     name: Annotated[str, Field(min_length=1)]
     title: str = ""

@@ -121,7 +121,7 @@ class Asked:
         return float(self._keys.value({ANSWER: number}))
 
     def __call__(self, signals: TrialSignals) -> float:  # noqa: ARG002
-        """Raise: nothing recorded tells what a person saw."""
+        """Raise ExperimentError: the answer of a person was not recorded."""
         raise ExperimentError("no answer was recorded in this trial")
 
     @property

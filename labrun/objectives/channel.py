@@ -329,7 +329,7 @@ class Direction(ChannelObjective):
 
 
 class Cycles:
-    """How many whole cycles count: of a trial that goes on until its numbers say so, how many there were."""
+    """Number of whole cycles that count, or that a trial with `until` lasted."""
 
     needs_channel: ClassVar[bool] = False
 

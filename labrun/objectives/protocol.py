@@ -1,4 +1,4 @@
-"""What an objective sees of a trial, what it is, and how one is made from its table in the experiment file."""
+"""The objective protocol, the signals that it gets, and its creation from the experiment file."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -243,7 +243,7 @@ class Remarking(Protocol):
     """An objective whose number alone may not say what happened."""
 
     def remark(self, signals: TrialSignals) -> str:
-        """Return what has to be said beside the number; empty if nothing has."""
+        """Return a remark on the number, or ""."""
         ...
 
 

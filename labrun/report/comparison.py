@@ -1,4 +1,4 @@
-"""One thing held against another as people read it: a prediction beside data, gaits of a laboratory in the field."""
+"""Text of comparisons: a prediction with data, gaits in the laboratory and in the field."""
 
 import math
 import textwrap
@@ -99,7 +99,7 @@ def comparison_figure(comparison: Comparison) -> FigureData:
 
 
 def _alike(comparison: Comparison) -> list[str]:
-    """Say once what is the same in all conditions."""
+    """Return the part of the condition common to all."""
     differing = varying(point.condition for point in comparison.points)
     first = comparison.points[0].condition
     alike = {name: value for name, value in first.items() if name not in differing}
@@ -240,7 +240,7 @@ def _condition_panel(pairs: Sequence[Pair]) -> Panel:
 
 
 def _apart(pairs: Sequence[Pair], of: Pair) -> str:
-    """Return what tells a pair's condition from the others: titles have no room for all of it."""
+    """Return the part of a pair's condition that differs from the others, for titles."""
     names = [name for name in of.condition if len({pair.condition.get(name) for pair in pairs}) > 1]
     labels = [
         value if isinstance(value := of.condition[name], str) else f"{spaced(name)} {value_text(value)}"

@@ -46,7 +46,7 @@ class Point:
 
 @dataclass(frozen=True)
 class RunView:
-    """A run with its experiment and its honest best, as one reads it.
+    """A run with its experiment and its confirmed best.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class RunView:
         return with_unit(sign + spaced(channel.partition(".")[2]), self.channel_unit(channel))
 
     def with_best(self, text: str, sign: str = "") -> str:
-        """Return a text with the honest best behind it, its interval and where it is; for under a figure's title."""
+        """Return a text followed by the confirmed best with interval and location, for the subtitle of a figure."""
         if self.best is None:
             return text
         value = interval_text(self.best.value, self.best.ci95, self.best.unit)
@@ -175,7 +175,7 @@ class RunView:
 
     @property
     def best_trials(self) -> list[TrialOutcome]:
-        """The accepted trials of the honest best, where there is a channel of them to show."""
+        """The accepted trials of the confirmed best that have a channel to show."""
         if self.best is None or self.channel is None:
             return []
         return self.accepted_trials.get(condition_key(self.best.parameters), [])

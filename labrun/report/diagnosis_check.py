@@ -68,14 +68,14 @@ def check_page(checked: Checked) -> str:
 
 
 def write_check_page(checked: Checked) -> Path:
-    """Write the page of a check as ``check.md`` beside its cases; return its path."""
+    """Write the page of a check as ``check.md`` in its folder; return its path."""
     path = checked.folder / "check.md"
     replace_durably(path, check_page(checked).encode())
     return path
 
 
 def _figures(checked: Checked) -> Iterator[tuple[str, str, _Cell]]:
-    """Yield every figure: its label, what is to be reached, and how it is read off the scores of a program."""
+    """Yield label, goal and getter of every figure."""
     with_interval = not checked.tools
 
     def share(of: Callable[[Scores], Share]) -> _Cell:

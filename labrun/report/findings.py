@@ -1,4 +1,4 @@
-"""What a run found, and how far it can be trusted: `labrun show`, its JSON and the page of a run tell of it."""
+"""Results of a run and their reliability, for `labrun show`, its JSON and the page of a run."""
 
 import math
 from collections import Counter
@@ -106,7 +106,7 @@ class StoredGap:
 
 @dataclass(frozen=True)
 class Findings(RunView):
-    """A run with what lies beside it, and what can be computed from it while it is open.
+    """An open run with its fits and diagnoses, and quantities computed from it.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ class Findings(RunView):
 
     @property
     def drawing(self) -> Path | None:
-        """The drawing of what was designed, if there is one."""
+        """The drawing of a design, or None."""
         path = None if self.folder is None else self.folder / "drawing.png"
         return path if path is not None and self.simulated_only and path.is_file() else None
 
@@ -197,7 +197,7 @@ class Findings(RunView):
 
     @cached_property
     def bench_time(self) -> BenchTime | None:
-        """Where the bench time went; None where nobody noted it."""
+        """Time by activity; None if not recorded."""
         return bench_time(self.run.events, self.run.outcomes, trial_tare_s(self.experiment))
 
     @cached_property
@@ -243,7 +243,7 @@ class Findings(RunView):
 
     @cached_property
     def settling(self) -> Settling | None:
-        """How the bench came to rest; None if the experiment does not wait."""
+        """Settling statistics; None if the experiment does not settle."""
         return settling(self.run.outcomes)
 
     @cached_property
@@ -266,13 +266,13 @@ class Findings(RunView):
 
     @cached_property
     def clock_restarted(self) -> bool:
-        """Tell whether the run's clock began anew in its course, as after a restart of the machine."""
+        """Tell whether the clock restarted during the run, as after a reboot."""
         starts = [outcome.started_s for outcome in self.run.outcomes]
         return not self.imported and any(later < earlier for earlier, later in pairwise(starts))
 
     @cached_property
     def damage(self) -> list[str]:
-        """What became of specimens: what broke trial by trial, what was planned in one line."""
+        """Damage of specimens: broken ones trial by trial, planned damage in one line."""
         planned = [outcome for outcome in self.run.outcomes if outcome.damage == PAST]
         messages = [
             f"trial {outcome.index}: {outcome.damage} ({condition_text(outcome.condition, self.experiment.units)})"
@@ -289,11 +289,11 @@ class Findings(RunView):
 
     @cached_property
     def remarks(self) -> tuple[str, ...]:
-        """What is to be told of single trials, a sentence each."""
+        """Remarks on single trials, one sentence each."""
         return remarks_of(self.run.events)
 
     def to_json(self) -> dict[str, Any]:
-        """Return what `labrun show --json` prints: at most 100 conditions, and the honest best among them."""
+        """Return what `labrun show --json` prints: at most 100 conditions, including the confirmed best."""
         if self.channels:
             return self._recording_json()
         provenance, most = self.run.provenance, self.conditions[:_MOST_CONDITIONS]

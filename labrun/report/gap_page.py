@@ -1,4 +1,4 @@
-"""The page of a diagnosis: what its template tells of, made from the diagnosis alone."""
+"""The page of a diagnosis: the context of its template."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -36,7 +36,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
 
 
 def diagnosis_context(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return what the template ``gap.html.j2`` tells of."""
+    """Return the context of the template ``gap.html.j2``."""
     every = ranked(diagnosis.candidates)
     first = max(_SHOWN, sum(candidate.verdict in ("cause", "rival") for candidate in every))
     parameters = parameter_table(diagnosis)

@@ -1,4 +1,4 @@
-"""What `labrun gap` says in a terminal: a diagnosis in at most 20 lines, and the answers of the commands beside it."""
+"""Terminal text of `labrun gap`: a diagnosis in at most 20 lines, and the answers of its other commands."""
 
 import textwrap
 from collections import Counter

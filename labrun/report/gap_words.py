@@ -1,4 +1,4 @@
-"""What a diagnosis found, in words: verdicts, sizes, values, and which parts of the data tell where the gap is."""
+"""Words for the results of a diagnosis: verdicts, sizes, values, and locations of the gap."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -118,7 +118,7 @@ def hot_spots(where: Sequence[Place]) -> list[HotSpot]:
 
 
 def beyond_chance(location: Place) -> bool:
-    """Tell whether noise alone hardly gives a part as much; True where that cannot be told."""
+    """Tell whether the share of a part is significant; True if that is unknown."""
     return location.p is None or location.p <= SIGNIFICANT
 
 
@@ -170,7 +170,7 @@ def ranked(candidates: Sequence[RatedCandidate]) -> list[RatedCandidate]:
 
 
 def status_words(row: RatedCandidate) -> str:
-    """Return what became of a candidate: "rival of X", "excluded above torque 0.002 N m", "not needed"."""
+    """Return the status of a candidate: "rival of X", "excluded above torque 0.002 N m", "not needed"."""
     if row.verdict == "rival":
         return f"rival of {listed([name.words for name in row.same_as], 'and')}"
     if row.verdict == "excluded":
@@ -222,7 +222,7 @@ def _short(step: str) -> str:
 
 
 def rest_words(diagnosis: Diagnosis) -> str:
-    """Return what is left, how much of it is predictable, and from what."""
+    """Return the size of the rest, its predictable share, and the predictors."""
     rest = diagnosis.rest
     size = f"{times_noise(rest.in_noise)} times the noise"
     nested = None if rest.nested is None else times_noise(rest.nested)
@@ -289,7 +289,7 @@ def bound_words(bounds: Mapping[str, ResampledNumber]) -> list[str]:
 
 
 def _prefixed(estimate: ResampledNumber) -> tuple[float, str]:
-    """Return what a small number is multiplied by, where a prefix is usual, and the unit to write after it."""
+    """Return the factor and the prefixed unit for a small number."""
     finite = [abs(end) for end in (estimate.value, estimate.low, estimate.high) if math.isfinite(end)]
     largest = max(finite, default=0.0)
     if estimate.unit.split(" ")[0].split("/")[0] not in _TAKE_PREFIX or not 0 < largest < _SMALL:

@@ -35,7 +35,7 @@ _REFRESHES_PER_S = 8
 
 
 class LiveProgress(SilentProgress):
-    """Shows what is happening now, trials done, time left and the best so far; quiet where nobody watches.
+    """Shows the current step, trials done, time left and the best so far; silent without a terminal.
 
     Implements `labrun.runner.Progress`. Use it as a context manager: the display appears on entering and
     what stands in it at the end stays. Everything goes to standard error, so that standard output is left
@@ -83,7 +83,7 @@ class LiveProgress(SilentProgress):
         self._bar.update(self._task, total=trials)
 
     def phase(self, text: str) -> None:
-        """Show what is happening now."""
+        """Show the current step."""
         self._bar.update(self._task, description=text)
 
     def trial(self, outcome: TrialOutcome, done: int, total: int | None, remaining_s: float | None) -> None:

@@ -89,7 +89,7 @@ def render(template: str, context: Mapping[str, Any]) -> str:
 
 
 def part(name: str, *values: Any) -> str:
-    """Return what one macro of ``parts.html.j2`` makes of values."""
+    """Render one macro of ``parts.html.j2``."""
     return str(getattr(_environment().get_template("parts.html.j2").module, name)(*values))
 
 

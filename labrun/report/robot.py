@@ -26,7 +26,7 @@ _OF_THE_WHOLE: Mapping[str, Mapping[str, str]] = {
 
 
 def cause_words(cause: Cause) -> str:
-    """Return what a cause is called where its joint is known, with what it cannot be told from."""
+    """Return the name of a cause at a known joint, with its rivals."""
     text = cause.name.words.partition(" at ")[0]
     if cause.name.site.endswith("_command"):
         text += " of the command"
@@ -35,12 +35,12 @@ def cause_words(cause: Cause) -> str:
 
 
 def moved_words(diagnosis: JointDiagnosis) -> str:
-    """Return which parameters of a joint are far from what is stated, and that they explain it; "" if none is."""
+    """Return a sentence on parameters of a joint that are far from their stated values; "" if none."""
     return ", ".join(f"{name} {100 * (by - 1):+.2g} %" for name, by in diagnosis.moved.items())
 
 
 def sizes_of(cause: Cause) -> str:
-    """Return the sizes of what was found at a joint, with their intervals and units."""
+    """Return the sizes of the causes at a joint, with intervals and units."""
     units = _OF_THE_WHOLE.get(cause.name.effect, {})
     values = {name: replace(value, unit=units.get(name, value.unit)) for name, value in cause.values.items()}
     return "; ".join(value_words(values))

@@ -1,4 +1,4 @@
-"""The page of a run: what its template tells of, made from what was read of the run."""
+"""The page of a run: the context of its template."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -69,7 +69,7 @@ def report_page(findings: Findings) -> str:
 
 
 def run_context(findings: Findings) -> dict[str, Any]:
-    """Return what the template ``run.html.j2`` tells of; a section that says nothing is None."""
+    """Return the context of the template ``run.html.j2``; empty sections are None."""
     run = findings.run
     sections = {
         "design": _design(findings),
@@ -131,7 +131,7 @@ def _best(findings: Findings) -> Mapping[str, str] | None:
 
 
 def _design(findings: Findings) -> Mapping[str, Any] | None:
-    """Return what a finished design stands at, and its drawing; None of any other run."""
+    """Return the active constraints and the drawing of a finished design; None for other runs."""
     result = findings.result
     if result is None or not findings.simulated_only or not result.more:
         return None
@@ -333,7 +333,7 @@ _OF_A_BENCH = {"repeatability": _repeatability, "drift": _drift, "settling": _se
 
 
 def fit_context(fit: StoredFit) -> Mapping[str, Any]:
-    """Return what a page tells of a fit."""
+    """Return the context of a fit on a page."""
     numbers = fit.numbers
     if fit.fault:
         return {"fault": f"{fit.path.name} cannot be read ({fit.fault}): labrun fit writes it again."}

@@ -19,7 +19,7 @@ from labrun.store import Run, TrialOutcome
 
 @dataclass(frozen=True, slots=True)
 class Repeatability:
-    """Spread of an objective within a condition, beside its spread between conditions.
+    """Spread of an objective within and between conditions.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Drift:
 
 @dataclass(frozen=True, slots=True)
 class Settling:
-    """How the bench came to rest: how often for which reason, and how long it took."""
+    """Settling statistics: counts by outcome, and durations."""
 
     reasons: dict[str, int]
     median_s: float
@@ -138,7 +138,7 @@ def _line(hours: FloatArray, values: FloatArray) -> tuple[float, float, float]:
 
 
 def settling(outcomes: Iterable[TrialOutcome]) -> Settling | None:
-    """Return how the bench came to rest before trials; None if the experiment does not wait."""
+    """Return settling statistics; None if the experiment does not settle."""
     summaries = [outcome.settle for outcome in outcomes if outcome.settle is not None]
     if not summaries:
         return None

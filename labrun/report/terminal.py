@@ -44,7 +44,7 @@ _STATUSES = ("done", "rejected", "failed")
 
 
 def print_findings(findings: Findings, console: Console | None = None) -> None:
-    """Print what a run found, or what a recording holds; to standard output if no console is given."""
+    """Print the results of a run or the contents of a recording."""
     console = console or Console(highlight=False)
     if findings.channels:
         _print_recording(findings.to_json(), console)
@@ -351,7 +351,7 @@ _NAMED = 6
 
 
 def plan_text(plan: Plan, results: Path) -> str:
-    """Return a plan as a person reads it: trials, time, disk, and every joint's demand beside its limits.
+    """Return a plan as text: trials, time, disk, and the demand on every joint with its limits.
 
     Parameters
     ----------

@@ -191,7 +191,7 @@ def percent(share: float) -> str:
 
 
 def p_words(p: float | None) -> str:
-    """Return ``p = 0.002``; nothing where it cannot be told."""
+    """Return ``p = 0.002``, or "" if unknown."""
     if p is None:
         return ""
     level = "< 0.001" if p < 0.001 else f"= {p:.2g}" if p < 0.1 else f"= {p:.1f}"

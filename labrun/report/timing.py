@@ -22,7 +22,7 @@ STEPS = ("move", "settle", "tare", "record", "safe pose", "store")
 
 @dataclass(frozen=True, slots=True)
 class BenchTime:
-    """Time by what was done with it.
+    """Bench time by activity.
 
     Attributes
     ----------
@@ -190,7 +190,7 @@ def _health(name: str, streams: Sequence[Signals]) -> StreamHealth:
 
 
 def _clock_drift_ppm(streams: Sequence[Signals], reports: Sequence[StreamReport]) -> float | None:
-    """Return the drift from trial to trial, which tells most; within trials, where the device's clock began anew."""
+    """Return the clock drift from trial to trial, or within trials if the device's clock restarted."""
     known = [
         (stream.device_time_s[0], report.offset_s)
         for stream, report in zip(streams, reports, strict=True)
@@ -301,7 +301,7 @@ def loop_health(view: RunView, indices: Sequence[int]) -> LoopHealth | None:
 
 
 def _quantile(parts: Sequence[FloatArray], share: float) -> float:
-    """Return a quantile of what is known; nan if nothing is."""
+    """Return a quantile of the finite values; nan without any."""
     known = np.concatenate(parts) if parts else np.empty(0)
     known = known[np.isfinite(known)]
     return float(np.quantile(known, share)) if len(known) else math.nan

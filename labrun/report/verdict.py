@@ -1,4 +1,4 @@
-"""What a run came to, and what speaks for and against believing it, in sentences."""
+"""Sentences on the result of a run, and on its reliability."""
 
 import math
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ class Check:
 
 
 def what_was_run(findings: Findings) -> str:
-    """Return what was run and how much of the bench's time it took, in a sentence or two."""
+    """Return one or two sentences on what was run and the bench time it took."""
     run, kind = findings.run, _KINDS.get(findings.experiment.kind, findings.experiment.kind)
     conditions = {condition_key(outcome.condition) for outcome in run.outcomes if outcome.role != "reference"}
     trials = f"{counted(len(run.outcomes), 'trial')} at {counted(len(conditions), 'condition')}"
@@ -85,7 +85,7 @@ def what_was_run(findings: Findings) -> str:
 
 
 def what_came_out(findings: Findings) -> str:
-    """Return what a run without an honest best measured, in a sentence."""
+    """Return a sentence on the measurements of a run without a confirmed best."""
     experiment = findings.experiment
     if not findings.accepted:
         return "No trial was accepted, so nothing can be concluded yet."
@@ -234,7 +234,7 @@ def _range(findings: Findings, objective: str) -> str:
 
 
 def why_unfinished(findings: Findings) -> str:
-    """Return why a run that is not finished came to a stop; "" where nobody noted it."""
+    """Return why an unfinished run stopped; "" if not recorded."""
     ends = ("interrupted", "failed", "limit-reached")
     last = next((event for event in reversed(findings.run.events) if event["event"] in ends), None)
     if last is None:

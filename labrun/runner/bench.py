@@ -32,7 +32,7 @@ _PLAUSIBLE_OTHER = 1e12
 
 
 class SensorWatch:
-    """Reads a sensor, and raises what is wrong as an error that names the device.
+    """Reads a sensor, and raises faults as errors that name the device.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ class Bench:
         self._poses: dict[str, tuple[float, Mapping[str, float]]] = {}
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the time and what the rig remembers, JSON-ready: what a simulated bench goes on from."""
+        """Return the time and the state of a simulated rig, JSON-ready."""
         return {"clock_s": self.clock.now(), **self.rig.snapshot()}
 
     def restore(self, memory: Mapping[str, Any]) -> None:
@@ -300,7 +300,7 @@ class Bench:
             self.watch(self.clock.now() + self.clock.poll_s)
 
     def wait_for_arrangements(self) -> None:
-        """Wait until whoever puts the next trial's condition in place has done so."""
+        """Wait until the condition of the next trial is in place."""
         while not all(self._arrived(name) for name in self.rig.arranging):
             self.watch(self.clock.now() + self.clock.poll_s)
 

@@ -103,7 +103,7 @@ class Mountings:
         trial_index: int,
         damages: Callable[[Condition], bool] = lambda _: False,
     ) -> None:
-        """Begin anew with conditions: each group of equal values as often as the file says, round after round.
+        """Start a new plan of mountings: each group of equal values as often as the file states, in rounds.
 
         Those that damage are left to the last round, and to the end of their block.
         """

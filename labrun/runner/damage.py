@@ -1,4 +1,4 @@
-"""Which specimens are no longer what they were, and by which trial, of this run or of one before."""
+"""Track damaged specimens, and the trials of this or earlier runs that damaged them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -102,7 +102,7 @@ def _on_the_bench(run: Path) -> bool:
 
 
 class Damage:
-    """Knows what trials have done to the specimens of a run: those that differ in what is set by hand, or the one.
+    """Tracks the damage that trials do to the specimens of a run.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class Damage:
         return self._table is not None and self._table.when is not None and bool(self._table.when(condition))
 
     def done_by(self, outcome: TrialOutcome) -> str:
-        """Return what a trial did to its specimen: ``"past its limit"``, ``"broken"``, or nothing, an empty text.
+        """Return the damage by a trial: ``"past its limit"``, ``"broken"`` or ``""``.
 
         A trial under a damaging condition counts as soon as it ran, whatever became of it.
         """
@@ -139,7 +139,7 @@ class Damage:
         return PAST if self.would(outcome.condition) else ""
 
     def take(self, outcome: TrialOutcome) -> str:
-        """Note what a trial did; return a sentence on it where its specimen was whole before, else an empty text.
+        """Record the damage by a trial; return a sentence if its specimen was intact before, else "".
 
         What the plan takes past its limit is told of the first specimen only.
         """

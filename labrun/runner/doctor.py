@@ -95,7 +95,7 @@ def _ports(usb_serial: Path) -> Iterator[Remark]:
 
 
 def latency(device: str, description: str, usb_serial: Path = _USB_SERIAL) -> Remark:
-    """Return how long the adapter behind a serial port may hold back what it has received."""
+    """Return the latency timer of the adapter of a serial port."""
     timer = usb_serial / Path(device).resolve().name / "latency_timer"
     try:
         latency_ms = int(timer.read_text())
@@ -122,7 +122,7 @@ _GROUP = "labrun.devices"
 
 
 def examine_rig(rig: Rig) -> Iterator[Remark]:
-    """Open each device of a rig in turn, ask it what it is and how it is, listen to it for a second, and close it.
+    """Open each device of a rig in turn, query identity and health, listen for a second, and close it.
 
     One that fails does not keep the others from being looked at.
     """

@@ -85,7 +85,7 @@ def _distance(measured: Signal, command: Trajectory, lag_s: float, period_s: flo
 
 
 def _lost_from(time_s: FloatArray, beyond: NDArray[np.bool_], for_s: float) -> float | None:
-    """Return when a window begins in which samples were `beyond` for longer than `for_s`; None if there is none."""
+    """Return the start of the first window with samples `beyond` for longer than `for_s`, or None."""
     if len(time_s) < 2 or not beyond.any():
         return None
     steps_s = np.diff(time_s, prepend=time_s[0])

@@ -99,7 +99,7 @@ class ObjectiveEvaluation:
     def remarks(
         self, measured: Mapping[str, Signals | LongSignals], motion: TrialMotion, condition: Condition
     ) -> list[str]:
-        """Return what objectives say beside their numbers, see `Remarking`."""
+        """Return the remarks of objectives, see `Remarking`."""
         known = {
             n: objective for n, objective in self._objectives.items() if isinstance(objective, Remarking)
         }
@@ -126,7 +126,7 @@ class ObjectiveEvaluation:
 
 
 def _place(objective: Objective, error: Exception) -> str:
-    """Return file and line where a plugin raised; where it begins, if what it returned was no number."""
+    """Return file and line where a plugin raised, or of its definition if it returned no number."""
     code = getattr(type(objective).__call__, "__code__", None)
     frames = traceback.extract_tb(error.__traceback__)[1:]
     if code is None or not frames:
@@ -138,7 +138,7 @@ def _place(objective: Objective, error: Exception) -> str:
 
 
 class _TaredSignals(Mapping[str, Signal]):
-    """Every channel by ``device.channel``, made when asked for, whole or in pieces: a trial may exceed memory."""
+    """Channels by ``device.channel``, computed on demand, whole or in pieces."""
 
     def __init__(self, measured: Mapping[str, Signals | LongSignals]) -> None:
         self._places = {

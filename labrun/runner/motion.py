@@ -113,7 +113,7 @@ def envelope(
 
 
 def loop_notes(track: Track | None) -> Iterator[str]:
-    """Yield what each loop may do, beside which the worst case is read."""
+    """Yield notes on the range and rate of each loop."""
     if track is None:
         return
     for name, loop in track.loops.items():
@@ -344,7 +344,7 @@ class MotionMaker:
     def _oscillations(
         self, condition: Condition, trajectory: Trajectory, counts_s: float
     ) -> tuple[dict[str, float], tuple[Excess, ...]]:
-        """Return the frequency of each joint that moves, where it is asked for, and whether its cycles fit in."""
+        """Return the frequency of each moving joint, if requested, and whether whole cycles fit."""
         average = self._trial.average
         if average is None:
             return {}, ()

@@ -102,7 +102,7 @@ _LOOP_ADVICE = "narrow the range of the loop, or give it a slower slew_per_s"
 
 @dataclass(frozen=True, slots=True)
 class JointPeak:
-    """The greatest demand on a joint over the whole plan, beside its limits; limits are None where none is set."""
+    """The largest demand on a joint over the plan, with its limits (None if unset)."""
 
     joint: str
     device: str

@@ -1,4 +1,4 @@
-"""The record step: motion and samples from a common start, and the bounds within which it goes on."""
+"""The recording step: motion and samples from a common start, within the limits."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,7 +21,7 @@ TAIL_S = 0.1
 
 @dataclass
 class SampleCollector:
-    """Hands samples to the trial's writer, and counts what is wrong with them."""
+    """Passes samples to the writer of the trial, and counts lost and invalid ones."""
 
     bench: Bench
     writer: TrialWriter
@@ -73,7 +73,7 @@ class TrialRequest:
 
 @dataclass
 class TrialRecording:
-    """One recording: what there is to do it with, and what becomes known of it on the way.
+    """The state of one recording.
 
     Attributes
     ----------
@@ -230,7 +230,7 @@ class _Watched(SampleCollector):
 
 
 def guard_excesses(experiment: Experiment, motions: MotionMaker, condition: Condition) -> list[Excess]:
-    """Return what a candidate's motion would break of the joint angles that its search is guarded to."""
+    """Return violations of the guarded joint angles by a candidate's motion."""
     if experiment.cmaes is None:
         return []
     excesses = []

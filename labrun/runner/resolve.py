@@ -88,7 +88,7 @@ def resolve_device(name: str, table: PluginTable, *, dry_run: bool) -> ResolvedD
 
 
 def check_settings(name: str, make: Any, settings: Mapping[str, Any]) -> DeviceSettings:
-    """Return a device's settings as its plugin understands them; SpecError names every key that does not hold."""
+    """Validate the settings of a device; SpecError names every invalid key."""
     model: type[DeviceSettings] = getattr(make, "Settings", DeviceSettings)
     try:
         return model.model_validate(dict(settings))
@@ -256,7 +256,7 @@ class EmulatedBench:
             self.scene = RemoteScene(served["address"], bytes.fromhex(served["key"]))
 
     def table(self, name: str) -> PluginTable:
-        """Return a device's table as its driver gets it here: led to its emulator, or its stand-in's."""
+        """Return the table of a device for this run: for its emulator, its simulated device, or as stated."""
         table = self._devices[name]
         if name in self.settings:
             return table.model_copy(update=self.settings[name])
@@ -271,7 +271,7 @@ class EmulatedBench:
         self.inject(device, fault, None)
 
     def log(self, device: str) -> list[dict[str, Any]]:
-        """Return what a device's emulator has witnessed so far."""
+        """Return the log of a device's emulator so far."""
         written = self._logs[device].read_text()
         whole = written[: written.rfind("\n") + 1]  # the last line may be in the midst of being written
         return [json.loads(line) for line in whole.splitlines()]

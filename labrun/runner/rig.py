@@ -213,7 +213,7 @@ class Rig:
         return failures
 
     def identities(self) -> dict[str, Identity]:
-        """Ask every device what it is; DeviceError if one cannot say."""
+        """Return the identity of every device."""
         identities: dict[str, Identity] = {}
         for name, device in self.devices.items():
             with self.calls(name, "identify"):
@@ -223,17 +223,17 @@ class Rig:
         return identities
 
     def arm(self) -> None:
-        """Tell the watchdog that actuators may move from now on."""
+        """Arm the watchdog: actuators may move from now on."""
         if self.watchdog is not None:
             self.watchdog.arm()
 
     def disarm(self) -> None:
-        """Tell the watchdog that nothing moves any more."""
+        """Disarm the watchdog: nothing moves any more."""
         if self.watchdog is not None:
             self.watchdog.disarm()
 
     def beat(self) -> None:
-        """Tell the watchdog that the runner lives."""
+        """Send a sign of life to the watchdog."""
         if self.watchdog is not None:
             self.watchdog.beat()
 
@@ -242,7 +242,7 @@ class Rig:
             self.watchdog.calling(number)
 
     def reopen(self, name: str) -> None:
-        """Disconnect a device that failed and connect it anew; DeviceError if it does not come back."""
+        """Reconnect a failed device; DeviceError if that fails."""
         self._close({name: self.devices[name]})
         with self.calls(name, "open"):
             self.devices[name].open()

@@ -24,7 +24,7 @@ from labrun.runner.resolve import ResolvedDevice
 
 
 class LimitReached(Exception):  # noqa: N818  a stop that was asked for is not an error
-    """The number of trials asked for is done; the run can be resumed."""
+    """The requested number of trials is done; the run can be resumed."""
 
 
 class SilentDeviceError(DeviceError):
@@ -40,7 +40,7 @@ class HungDeviceError(DeviceError):
 
 
 def wrong_answer(device: str, method: str, value: object, expected: str) -> NonsenseError:
-    """Return the error for a driver's method that returned what it must not."""
+    """Return the error for an invalid return value of a driver method."""
     text = "None" if value is None else f"a {type(value).__name__}"
     return NonsenseError(
         device, f"its {method}() returned {text}; expected {expected}", hint="this is a fault of its driver"
@@ -48,7 +48,7 @@ def wrong_answer(device: str, method: str, value: object, expected: str) -> Nons
 
 
 class DeviceCalls:
-    """Which device the runner is waiting for: what is to blame for a hang.
+    """Records the device call in progress, to name the cause of a hang.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ from labrun.store import Role, RunFolder, TrialOutcome
 
 
 class Progress:
-    """Told by the runner and the searches what goes on; a display draws what it cares for of it."""
+    """Progress callbacks of the runner and the searches."""
 
     def __enter__(self) -> Self:
         return self
@@ -35,10 +35,10 @@ class Progress:
         pass
 
     def total(self, trials: int | None) -> None:
-        """Set the greatest number of trials there can be; None if nobody can know."""
+        """Set the largest possible number of trials; None if unknown."""
 
     def phase(self, text: str) -> None:
-        """Say what is happening now: "settle", "record"."""
+        """Announce the current step: "settle", "record"."""
 
     def trial(self, outcome: TrialOutcome, done: int, total: int | None, remaining_s: float | None) -> None:
         """Report a trial that has just been stored."""
@@ -167,7 +167,7 @@ class Session:
         """Every trial of the run so far, in the order of execution."""
 
     def expect(self, trials: int | None) -> None:
-        """Say how many trials the whole run will have, for the time left; None if nobody knows."""
+        """Announce the number of trials of the run; None if unknown."""
         self._expected = trials
         self._progress.total(trials)
 
@@ -414,7 +414,7 @@ class Session:
             )
 
     def _warn_unsettled(self, outcome: TrialOutcome) -> None:
-        """Journal every trial on a restless bench; tell the person of the first, the run's end tells their share."""
+        """Journal every trial that did not settle; warn on the first one."""
         settle = outcome.settle
         if settle is None:
             return
@@ -471,7 +471,7 @@ class Session:
             self._reopen(fault.device)
 
     def _reopen(self, device: str) -> None:
-        """Connect a device anew; one that was pulled out gets a while to be put back."""
+        """Reconnect a device; an unplugged one has some time to come back."""
         clock = self._bench.clock
         deadline_s = clock.now() + _COME_BACK_S
         while True:

@@ -1,4 +1,4 @@
-"""Whether channels are still: spread and drift of what was last heard, held against bounds or the bench at rest."""
+"""Judge whether channels are quiet: spread and drift of the last samples against bounds or a baseline."""
 
 import math
 from collections import deque
@@ -36,7 +36,7 @@ class Stillness:
 
 
 def stillness(time_s: FloatArray, values: FloatArray) -> Stillness | None:
-    """Tell how much of a window is motion, beyond its noise.
+    """Return spread and drift of a window beyond its noise.
 
     Samples are averaged in up to 20 bins. The variance between bins, less what the noise within them explains, is that
     of the slow part (one-way random-effects analysis of variance; Searle, Casella, McCulloch, "Variance components",
@@ -135,7 +135,7 @@ class Window:
         self._first_s = np.inf
 
     def add(self, block: Samples) -> None:
-        """Take new samples, and drop what is older than the window."""
+        """Append new samples, and drop those older than the window."""
         if len(block) == 0:
             return
         self._times.append(block.host_time_s)

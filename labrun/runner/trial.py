@@ -290,7 +290,7 @@ class TrialRunner:
             self._bench.move(self._safe_pose, self._speed_rad_s)
 
     def _evaluate(self, draft: _Draft, writer: TrialWriter) -> str:
-        """Compute the objectives; return what a plugin raised."""
+        """Compute the objectives; return the error of a plugin, if any."""
         outcome, motion, recording, raised = draft.outcome, draft.motion, draft.recording, ""
         if motion is None or recording is None or not draft.recorded:
             return raised
@@ -351,7 +351,7 @@ class TrialRunner:
         return draft.outcome
 
     def _keep_unfinished(self, draft: _Draft, writer: TrialWriter, error: BaseException) -> None:
-        """Store what was recorded of a trial that a stop cut short; without a checkpoint, so that it is run again."""
+        """Store an interrupted trial without a checkpoint, so that it is run again."""
         if not draft.recorded:
             writer.discard()
             return
@@ -373,7 +373,7 @@ class TrialRunner:
         self._journal("baseline", spread=self.baseline.spread, drift=self.baseline.drift)
 
     def checkpoint(self) -> str:
-        """Return what a resumed run needs to go on from here, as JSON."""
+        """Return the state that a resumed run needs, as JSON."""
         memory = self._bench.snapshot()
         if self.baseline is not None:
             memory["baseline"] = {"spread": list(self.baseline.spread), "drift": list(self.baseline.drift)}

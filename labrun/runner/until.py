@@ -1,4 +1,4 @@
-"""Trials of many cycles that end by what they measure: reduced cycle by cycle while they run."""
+"""Trials that run until a condition on their measurements holds, reduced cycle by cycle."""
 
 from array import array
 from collections.abc import Callable, Mapping, Sequence
@@ -79,7 +79,7 @@ class CycleLog:
         self._grow(values)
 
     def hold(self, count: int) -> None:
-        """Count so many cycles as the latest one: nobody measured them."""
+        """Count unmeasured cycles as equal to the latest one."""
         self._journal.append(_HELD, cycles=count)
         self._repeat(count)
 
@@ -88,7 +88,7 @@ class CycleLog:
         self._journal.append(_REST, checkpoint=dict(checkpoint))
 
     def back_to_rest(self) -> None:
-        """Forget the cycles since the latest checkpoint: a simulated bench goes on from there, and repeats them."""
+        """Drop the cycles since the latest checkpoint; a simulated bench repeats them."""
         events = self._journal.events()
         rests = [number for number, event in enumerate(events) if event["event"] == _REST]
         keep = rests[-1] + 1 if rests else 0
@@ -163,7 +163,7 @@ class _Stream:
         self._blocks.append(block)
 
     def cycle(self, start_s: float, tare: Mapping[str, float]) -> Signals:
-        """Return what there is, its time counted from the start of the cycle; earlier cycles are let go."""
+        """Return the current cycle with time from its start, and drop earlier ones."""
         self._blocks = [block for block in self._blocks if float(block.host_time_s[-1]) >= start_s - TAIL_S]
         samples = Samples.join(self._blocks, len(self._head.columns))
         return replace(dated(self._head, samples, start_s), tare=tare_of(self._head.name, tare))
@@ -274,7 +274,7 @@ class UntilRecorder:
     def _stretch(
         self, recording: TrialRecording, log: CycleLog, start_s: float, period_s: float, count: int
     ) -> bool:
-        """Measure some cycles of a motion that is under way; return whether the condition holds, as soon as it does."""
+        """Measure cycles of a running motion; return whether the condition holds."""
         bench, collector = recording.bench, recording.collector
         streams = {
             name: _Stream(name, sensor.channels, sensor.rate_hz) for name, sensor in self._rig.sensors.items()

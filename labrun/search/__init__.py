@@ -1,4 +1,4 @@
-"""Which trials come next: the points of a sweep, a search by CMA-ES, and the honest best of what was measured."""
+"""Choice of trials: points of a sweep, a CMA-ES search, and the confirmed best."""
 
 from labrun.search.cmaes import NoCandidateError, Searched, read_generations, search_by_cmaes
 from labrun.search.constraints import Constraint, ConstraintError, Feasibility, Violations, probes

@@ -1,4 +1,4 @@
-"""A CMA-ES search on the rig: generations of candidates, none of them outside a limit, until a stop rule."""
+"""A CMA-ES search on the rig: generations of feasible candidates until a stop rule."""
 
 import json
 import math
@@ -51,7 +51,7 @@ class SearchCandidate:
         return float(np.mean(self.values)) if self.values else None
 
     def cost(self, sign: float) -> float | None:
-        """Return what is to be as low as possible, `sign` times the mean; what a cut may have won does not count."""
+        """Return the cost, `sign` times the mean, at the worse end of the truncation error."""
         return sign * float(np.mean(self.values)) + self.truncation if self.values else None
 
     def record(self) -> dict[str, Any]:
@@ -73,7 +73,7 @@ class NoCandidateError(PlanError):
 
 @dataclass(frozen=True, slots=True)
 class Searched:
-    """All that a search measured, and what it came to."""
+    """All measurements of a search, and its verdict."""
 
     measured: list[Measured]
     verdict: Verdict
@@ -90,7 +90,7 @@ def search_by_cmaes(
     level: Condition | None = None,
     number: int = 0,
 ) -> Searched:
-    """Search until a stop rule ends it, and return all measurements, and what they came to.
+    """Search until a stop rule applies; return all measurements and the verdict.
 
     A resumed search is replayed: the session serves stored trials, every generation is computed again from the
     same random numbers, and compared with its stored state.
@@ -259,7 +259,7 @@ class _Search:
         return condition
 
     def _leading(self, candidates: Sequence[SearchCandidate]) -> list[SearchCandidate]:
-        """Return the leaders that the next generation measures again: averaged values cannot stay lucky."""
+        """Return the leaders to measure again in the next generation, which averages out selection bias."""
         distinct = {id(item): item for item in candidates if item.values}
         ordered = sorted(distinct.values(), key=lambda item: item.penalised_cost)
         return ordered[: self._table.reevaluate]

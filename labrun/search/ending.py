@@ -1,4 +1,4 @@
-"""When a search ends, and how: converged, stagnated, or with its budget spent; and what it would still take."""
+"""Stop rules of a search (converged, stagnated, budget spent), and the estimated remaining generations."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -68,7 +68,7 @@ class StopWatch:
         return None
 
     def after_generation(self, costs: Sequence[float], standard_error: float, spread: float) -> str | None:
-        """Count a generation; return why the descent is to end, None if it goes on.
+        """Count a generation; return the reason to stop, or None.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class StopWatch:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a search came to.
+    """The verdict of a search.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The honest best: chosen by fresh repeats, reported from repeats that took no part in the choice.
+"""The confirmed best: chosen by fresh repeats, reported from repeats that took no part in the choice.
 
 The best of many noisy means is too good on average (the winner's curse), and so is the best of a few leaders after
 they were measured again. Three stages keep the report unbiased: the search names leaders, fresh repeats

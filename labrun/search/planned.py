@@ -205,7 +205,7 @@ def at_settings(conditions: Sequence[Condition], settings: Sequence[Condition]) 
 
 
 def excess_at_settings(excess_of: LimitExcesses, settings: Sequence[Condition]) -> LimitExcesses:
-    """Return a function that tells what a candidate would break at any of the settings, each limit once."""
+    """Return a function that lists the limits a candidate violates at any setting."""
 
     def excess(condition: Condition) -> list[Excess]:
         excesses: dict[str, Excess] = {}

@@ -75,7 +75,7 @@ def _continuous(low: float, high: float) -> tuple[float, float, float]:
 
 
 def _breaks(experiment: Experiment, excess_of: LimitExcesses) -> Callable[[Condition], Sequence[str]]:
-    """Return what tells which constraints and limits a condition breaks."""
+    """Return a function that lists the constraints and limits a condition violates."""
     if experiment.search is not None:
         feasibility = Feasibility(experiment.search, excess_of)
         return lambda condition: feasibility.of([condition])[0].texts

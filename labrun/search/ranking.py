@@ -119,7 +119,7 @@ class Ranking:
         return as_reported("ranking_text", self)
 
     def name(self, index: int) -> str:
-        """Return what a gait is called."""
+        """Return the name of a gait."""
         return f"gait {self.gaits[index].get(NUMBER, index + 1):g}"
 
     def to_json(self) -> dict[str, Any]:

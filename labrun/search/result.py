@@ -1,4 +1,4 @@
-"""What a run comes to."""
+"""Results of a run."""
 
 import json
 import re
@@ -19,7 +19,7 @@ _MEASURED = re.compile(r"= -?\d\S*")
 
 @dataclass(frozen=True, slots=True)
 class Best:
-    """The honest best of a run.
+    """The confirmed best of a run.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Best:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """A run as it stands: finished, or stopped and resumable.
+    """The state of a run: finished, or stopped and resumable.
 
     Attributes
     ----------
@@ -281,7 +281,7 @@ def unsettled_text(unsettled: int, done: int) -> str:
 
 
 def resume_line(run: Path) -> str:
-    """Return the command that goes on with a run."""
+    """Return the command that resumes a run."""
     return f"labrun resume {run}"
 
 

@@ -44,7 +44,7 @@ class Constants:
 
 
 class Strategy:
-    """Ask for points of the unit cube, tell their costs.
+    """Ask-and-tell interface of an optimiser on the unit cube.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The experiment file: what it may say, how it is read, and what is wrong with it."""
+"""The experiment file: its tables, its reader, and its checks."""
 
 from labrun.spec.condition import Condition, Value, condition_key, condition_text, only, value_text, varying
 from labrun.spec.experiment import (

@@ -96,7 +96,7 @@ def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Fault
 
 
 def _check_fit(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Fault]:
-    """Yield what is wrong with methods, settings and models, as far as that shows without reading a model."""
+    """Yield faults of fit methods, settings and model names, without reading a model."""
     fit = table(data, "fit")
     shared = table(fit, "settings")
     plugin, faults = load_plugin(
@@ -136,7 +136,7 @@ def _check_model(model: object, path: KeyPath, experiment: Path | None) -> Itera
 def _check_names(
     data: Mapping[str, Any], devices: Mapping[str, DeviceInfo], conditions: list[str]
 ) -> Iterator[Fault]:
-    """Yield every name that stands for something which the file does not have."""
+    """Yield every undefined name."""
     drivers: dict[str, str] = {}
     for name, device in devices.items():
         for joint in device.joints:
@@ -232,7 +232,7 @@ def _same_names(condition: Mapping[str, Any], path: KeyPath, names: list[str]) -
 
 
 def _check_units(data: Mapping[str, Any], names: list[str]) -> Iterator[Fault]:
-    """Yield what is wrong with the units of conditions: names, units, and contradictions with keys of the gait."""
+    """Yield faults of condition units: names, units, contradictions with keys of the gait."""
     given = {
         (expression.strip(), unit): path
         for path, expression in places(data, GAIT_EXPRESSIONS)

@@ -40,7 +40,7 @@ def varying(conditions: Iterable[Condition]) -> list[str]:
 
 
 def only(condition: Condition, names: Collection[str]) -> dict[str, Value]:
-    """Return what a condition has of these names."""
+    """Return the part of a condition with these names."""
     return {name: value for name, value in condition.items() if name in names}
 
 

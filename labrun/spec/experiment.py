@@ -30,7 +30,7 @@ def written_out(scene: str) -> dict[str, str]:
 
 
 class RigTable(Table):
-    """The bench: what is connected, and the scene that stands in for it in a dry run."""
+    """The bench: its devices, and the scene of a dry run."""
 
     scene: SceneTable | None = None
     devices: dict[str, PluginTable]
@@ -180,7 +180,7 @@ class Experiment(Table):
 
     @property
     def each(self) -> Mapping[str, list[Value]]:
-        """Factors of which each combination of levels gets a search of its own; empty if there is one search."""
+        """Factors with a separate search for each combination of levels; empty for one search."""
         return {} if self.cmaes is None or self.kind != "cmaes" else self.cmaes.each
 
     @property
@@ -196,7 +196,7 @@ class Experiment(Table):
 
     @property
     def goal(self) -> tuple[str, Literal["maximise", "minimise"]] | None:
-        """The objective that says what is best, and in which direction; None if no objective has a goal."""
+        """The objective with a goal, and its direction; None if no objective has one."""
         for name, objective in self.objectives.items():
             if objective.goal is not None:
                 return name, objective.goal

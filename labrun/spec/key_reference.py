@@ -1,4 +1,4 @@
-"""What a key of an experiment file takes: read from the pydantic models that check the file, and told by `keys.toml`.
+"""Reference of the keys of an experiment file, from its pydantic models and `keys.toml`.
 
 The page docs/keys.md and ``labrun keys`` are both made from this.
 """
@@ -168,7 +168,7 @@ def _key(model: type[BaseModel], name: str, field: FieldInfo, where: str) -> Key
 
 @cache
 def _attributes(model: type) -> dict[str, str]:
-    """Return what the docstring of a plugin's settings says of each key, as numpydoc has it."""
+    """Return the description of each key from the numpydoc docstring of a plugin's settings."""
     text = inspect.getdoc(model) or ""
     _, _, listed = text.partition("Attributes\n----------\n")
     return {
@@ -263,7 +263,7 @@ def _bounds(item: Any) -> Iterator[str]:
 
 
 def _kinds(annotation: Any) -> Iterator[str]:
-    """Say what a type is to the writer of a TOML file."""
+    """Return the words for a type in a TOML file."""
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         bounds = [bound for item in inner[1:] for bound in _bounds(item)]

@@ -383,7 +383,7 @@ def _name_leaders(wanted: dict[str, Any], path: KeyPath, experiment: Path) -> li
 
 
 def find_beside(name: str, experiment: Path) -> Path:
-    """Return the experiment of a name: the file beside another one, or the one that ships.
+    """Return the experiment with a name: in the same folder, or shipped.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The tables of closed loops, and the names of what they record."""
+"""The tables of closed loops, and the channels they record."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ Part = tuple[object, Mapping[str, Any]]
 
 
 def shape_of(drives: Sequence[str], feedbacks: Sequence[Part], controllers: Iterable[Part]) -> LoopShape:
-    """Return a loop's shape, as its tables say; a plugin that is not there counts as a plain one."""
+    """Return the shape of a loop from its tables; an unknown plugin counts as scalar."""
     more: dict[str, str] = {}
     for plugin, settings in controllers:
         more |= _asked("labrun.controllers", plugin, "records", settings) or {}

@@ -1,4 +1,4 @@
-"""The plugins that a file names: whether they are there, what they are, and whether their keys hold."""
+"""Check the plugins that a file names, and their keys."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -24,7 +24,7 @@ PLAIN_SCENE = "plain"
 
 
 def load_plugin(group: str, plugin: object, path: KeyPath) -> tuple[Any, list[Fault]]:
-    """Return a plugin's class, or why there is none; both empty if no plugin is named.
+    """Return a plugin's class or the reason why it cannot be loaded; both empty if none is named.
 
     Of a device it is the stand-in's class where there is one: that knows the driver's keys and some of its own, such as
     faults on request. Whether the driver takes those of the file is checked when it is made.
@@ -47,7 +47,7 @@ def load_plugin(group: str, plugin: object, path: KeyPath) -> tuple[Any, list[Fa
 
 
 def check_settings(plugin: Any, keys: Mapping[str, Any], path: KeyPath, own: list[str]) -> Iterator[Fault]:
-    """Yield what is wrong with a plugin's keys; those of `own` are read by someone else."""
+    """Yield faults of a plugin's keys, except those of `own`."""
     model = getattr(plugin, "Settings", None)
     if isinstance(model, type) and issubclass(model, BaseModel):
         settings = {key: value for key, value in keys.items() if key not in own}
@@ -93,7 +93,7 @@ def _kinds(annotation: Any) -> Iterator[type]:
 
 
 def examine(name: str, keys: Mapping[str, Any]) -> tuple[DeviceInfo, list[Fault]]:
-    """Return what a device of the file is, and what is wrong with its table."""
+    """Return the description of a device, and the faults of its table."""
     base: KeyPath = ("rig", "devices", name)
     settings = {key: value for key, value in keys.items() if key != "plugin"}
     plugin, faults = load_plugin(_DEVICES, keys.get("plugin"), (*base, "plugin"))
@@ -127,7 +127,7 @@ def scene_of(rig: RigTable) -> SceneTable:
 
 
 class _NoClock:
-    """For a device that is made only to be asked what it is."""
+    """A clock for devices that are created only for inspection."""
 
     poll_s = 0.01
 
@@ -167,7 +167,7 @@ def _guess(name: str, settings: Mapping[str, Any], plugin: Any) -> DeviceInfo:
 
 
 def check_plugins(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
-    """Yield what is wrong with scene, gait and objectives, apart from what other tables have to do with."""
+    """Yield faults of scene, gait and objectives that do not depend on other tables."""
     yield from _check_scene(data)
     yield from _check_gait(data)
     loops = tables(data, "track", "loops")

@@ -9,7 +9,7 @@ from labrun.toml import ExpressionError, Fault, KeyPath, fault_of, names_in, nea
 
 @dataclass(frozen=True, slots=True)
 class DeviceInfo:
-    """One device of the file, as far as it can be known without connecting it.
+    """One device of the file, as known without connecting it.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ GAIT_EXPRESSIONS = "gait.joints.*.*"
 def check_name(
     name: object, path: KeyPath, known: Mapping[str, Any] | list[str], message: str, *, kind: str
 ) -> Iterator[Fault]:
-    """Yield the `message`, and the nearest of the `known`, for a name that is none of them."""
+    """Yield `message` with the nearest known name, for an unknown name."""
     if isinstance(name, str) and name not in known:
         yield Fault(path, f"{message}; {suggest(name, known, kind=kind)}", at_value=path[-1] != name)
 
@@ -168,7 +168,7 @@ def named_channels(settings: Mapping[str, Any], key: str) -> list[tuple[KeyPath,
 
 
 def check_channel(channel: object, path: KeyPath, devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
-    """Yield what is wrong with a channel's name, "device.channel"."""
+    """Yield faults of a channel name, "device.channel"."""
     if not isinstance(channel, str):
         return
     name, _, signal = channel.partition(".")

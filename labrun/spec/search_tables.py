@@ -115,7 +115,7 @@ class RunTable(Over):
 
 
 def _axis_kind(axis: object) -> str:
-    """Tell the three forms of an axis apart, so that an error is about the form that was meant."""
+    """Select the form of an axis, so that errors refer to it."""
     if isinstance(axis, Range) or (isinstance(axis, Mapping) and "step" in axis):
         return "range"
     if isinstance(axis, Interval | Mapping):
@@ -193,7 +193,7 @@ class StopRules(Table):
 
 
 class Leaders(Table):
-    """The honest best: this many leaders get this many fresh repeats each; the winner is confirmed by as many again.
+    """The confirmed best: number of leaders and of fresh repeats; the winner is confirmed by as many again.
 
     `beside` are conditions that were found elsewhere and are measured among the leaders.
     """
@@ -363,7 +363,7 @@ class Design(CmaEs):
 
 
 def is_summary(name: str) -> bool:
-    """Tell whether a constraint's name stands for a summary of a channel."""
+    """Tell whether a name in a constraint is a summary of a channel."""
     return _SUMMARY.match(name) is not None
 
 

@@ -115,5 +115,5 @@ def test_a_laboratory_that_measured_other_gaits_is_told(bench, tmp_path):
 
 
 def test_a_field_without_a_trial_that_counts_is_refused(bench, tmp_path):
-    with pytest.raises(RequestError, match="no trial that counts"):
+    with pytest.raises(RequestError, match="no accepted trial"):
         bench(lambda gait: 10.0, limit=0)

@@ -108,7 +108,7 @@ def test_an_answer_that_cannot_be_meant_is_asked_again_with_the_reason(bench, an
 
 
 def test_a_script_that_never_gives_an_answer_ends_the_run(bench):
-    with pytest.raises(ExperimentError, match="10 answers"):
+    with pytest.raises(ExperimentError, match="after 10 attempts"):
         bench(lambda text: "what?").session.measure(CONDITIONS)
 
 

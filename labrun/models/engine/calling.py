@@ -48,7 +48,7 @@ def offset(typing: Any, start: Any, count: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def no_vectorise(typing: Any) -> Any:
-    """Keep a loop as it stands: it runs a few times, and preparing it for many takes longer than all its turns.
+    """Prevent vectorisation of a loop with few iterations.
 
     An empty piece of assembly, which the compiler neither vectorizes nor removes; it becomes no instruction.
     """

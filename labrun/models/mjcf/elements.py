@@ -119,7 +119,7 @@ class Elements:
         return [names.get(index, f"joint{index}") for index in range(self.model.njnt)]
 
     def joint_quantities(self, joint: int) -> tuple[Sequence[str], Sequence[str], Sequence[str]]:
-        """Return what a joint's positions, velocities and accelerations are called."""
+        """Return the names of a joint's positions, velocities and accelerations."""
         return self._simple[int(self.model.jnt_type[joint])]
 
     def activations(self) -> list[str]:

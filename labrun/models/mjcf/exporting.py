@@ -373,7 +373,7 @@ def mjcf_ranges(model: Model, intervals: Mapping[str, tuple[float, float, float]
 
 
 def _goes_along(array: str, index: int, factor: float, masses: FloatArray, changed: Any) -> bool:
-    """Tell whether a number is told with another one: a servo's bias with its gain, an inertia with its mass."""
+    """Tell whether a number follows from another one: a servo's bias from its gain, an inertia from its mass."""
     if array == "actuator_biasprm":
         return True
     body = index // 3

@@ -190,7 +190,7 @@ def _compiled(file: ModelFile, name: str) -> Any:
 
 
 def _from_path(path: Path) -> Any:
-    """Compile a file; where MuJoCo refuses it, once more without the meshes that it names and nobody has."""
+    """Compile a file; if MuJoCo refuses it, again without its missing meshes."""
     mujoco = imported()
     try:
         return mujoco.MjModel.from_xml_path(str(path))
@@ -205,7 +205,7 @@ def _from_path(path: Path) -> Any:
 
 
 def _resolve(file: ModelFile, path: KeyPath, ask: Callable[[str], Found], text: str) -> Found | None:
-    """Return what a reference to the MJCF file means; None, and a fault, if it means nothing."""
+    """Resolve a reference to the MJCF file; return None and note a fault if it is invalid."""
     try:
         return ask(text)
     except ReferenceProblem as problem:

@@ -1,4 +1,4 @@
-"""A gripper whose joints are tied together, held where it stands: what it carries is then looked at joint by joint."""
+"""Fix a gripper with coupled joints in place, so that the arm can be diagnosed joint by joint."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -144,7 +144,7 @@ class TipLoad:
         self._pass = _Pass(mujoco, model, mujoco.MjData(model), positions, dofs, motion)
 
     def torque(self, place_m: FloatArray) -> FloatArray:
-        """Return what it asks of the joints, own accelerations included: N m (N) per kg, shape (n, joints).
+        """Return the joint torques per kg of payload, inertial ones included: N m (N) per kg, shape (n, joints).
 
         Parameters
         ----------
@@ -260,7 +260,7 @@ class JointDrive:
 
 @dataclass(frozen=True)
 class RobotTerms:
-    """What each joint has of its own, as the file says: SI, in the order of the joints asked for.
+    """Parameters of each joint as the file states, SI, in the order of the requested joints.
 
     Attributes
     ----------
@@ -283,7 +283,7 @@ class RobotTerms:
 
 
 def robot_terms(xml: str, joints: list[str]) -> RobotTerms:
-    """Return what each joint of a robot has of its own."""
+    """Return the parameters of each joint of a robot."""
     mujoco = imported()
     model = mujoco.MjModel.from_xml_string(xml)
     dofs = [int(model.joint(name).dofadr[0]) for name in joints]

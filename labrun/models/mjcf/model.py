@@ -1,4 +1,4 @@
-"""A model whose equations are MuJoCo's: short generated code around what is compiled once for all."""
+"""A model with MuJoCo's equations of motion: short generated code around precompiled functions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -36,7 +36,7 @@ _WARNINGS = ("mjWARN_INERTIA", "mjWARN_CONTACTFULL", "mjWARN_CNSTRFULL")
 
 @dataclass(frozen=True, slots=True)
 class MemoryPlace:
-    """One number in MuJoCo's memory, told by name so that it means the same in another process.
+    """One number in MuJoCo's memory, addressed by name so that it is valid in other processes.
 
     Attributes
     ----------

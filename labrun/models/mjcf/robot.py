@@ -1,4 +1,4 @@
-"""A robot from an MJCF or URDF file alone: what drives it, what is measured, and a site at every joint."""
+"""A robot model from an MJCF or URDF file: inputs, outputs, and a site at every joint."""
 
 import re
 from collections.abc import Collection, Iterable, Mapping
@@ -28,7 +28,7 @@ _CLOSED = re.compile(r"XML_ERROR_MISMATCHED_ELEMENT.* name=(\w+)")
 
 
 def refusal(path: Path, error: ValueError, *, doing: str = "read") -> ModelError:
-    """Return MuJoCo's complaint with the line first, and the nearest to a word that is known to nobody."""
+    """Return MuJoCo's error with its line, and the nearest known word to an unknown one."""
     what, _, rest = str(error).strip().partition("\n")
     what = re.sub(r"^(XML )?Error: (Schema violation: )?", "", what)
     closed = _CLOSED.search(rest)
@@ -164,7 +164,7 @@ class Robot:
 
     @property
     def is_told_torques(self) -> bool:
-        """Whether all its drives are told torques, so that its log is one of torques or motor currents."""
+        """Whether all drives take torques, so that the log holds torques or motor currents."""
         return bool(self.actuators) and all(drive.command in ("torque", "geared") for drive in self.actuators)
 
 
@@ -250,7 +250,7 @@ def read_robot(
 
 
 def _take_out_delays(spec: Any) -> list[str]:
-    """Take the delays of actuators out of a description; return what is to be said of it."""
+    """Remove the delays of actuators from a description; return remarks."""
     remarks = []
     for actuator in spec.actuators:
         if not getattr(actuator, "nsample", 0):
@@ -274,7 +274,7 @@ def samples_of_delay(delay_s: float, step_s: float) -> int:
 
 
 def _not_compared(others: list[Any]) -> list[str]:
-    """Return what is said of joints that are neither hinges nor slides."""
+    """Return remarks on joints that are neither hinges nor slides."""
     if not others:
         return []
     names = ", ".join(joint.name for joint in others)
@@ -296,7 +296,7 @@ def mjcf_text(spec: Any) -> str:
 
 
 def robot_spec(path: Path) -> tuple[Any, list[str]]:
-    """Return what a file describes, without its meshes and textures if some are missing, and what was left out.
+    """Return the MuJoCo specification of a file, and the missing meshes and textures left out.
 
     Raises ModelError: there is no such file, MuJoCo cannot read it, or MuJoCo is too old to edit it.
     """
@@ -488,7 +488,7 @@ def _transmission(mujoco: Any, actuator: Any) -> str:
 
 
 def _crossed(actuators: Collection[RobotActuator], joints: Collection[RobotJoint]) -> list[str]:
-    """Return what is said of actuators that are named like a joint and drive another one, or none alone."""
+    """Return remarks on actuators named like a joint that they do not drive alone."""
     names = {joint.name for joint in joints}
     return [
         f"actuator {actuator.name} does not drive joint {actuator.name}, but "
@@ -517,7 +517,7 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
 
 
 def _command(mujoco: Any, actuator: Any) -> Command:
-    """Say what a control means, from how the actuator's force depends on it (MuJoCo's documentation, Actuation)."""
+    """Return the meaning of a control: position, velocity or torque (MuJoCo's documentation, Actuation)."""
     gain, bias = actuator.gainprm, actuator.biasprm
     if actuator.gaintype != mujoco.mjtGain.mjGAIN_FIXED or actuator.dyntype not in (
         mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT,

@@ -1,4 +1,4 @@
-"""The model file of a robot: joints are outputs and sites, actuators inputs; how its base stands, what it carries."""
+"""Write the model file of a robot: joints are outputs and sites, actuators inputs, with base tilt and payload."""
 
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Literal
@@ -80,7 +80,7 @@ def _gravity(down: list[float]) -> dict[str, str]:
 
 
 def _in_proportion(model: Any, name: str, mass: str) -> dict[str, str]:
-    """Return the principal inertias of a body as its mass has them."""
+    """Return the equations of a body's principal inertias, in proportion to its mass."""
     body = model.body(name)
     ratios = [float(component) / float(body.mass[0]) for component in body.inertia]
     return {f"body.{name}.inertia[{axis}]": f"{ratio!r}*{mass}" for axis, ratio in enumerate(ratios) if ratio}
@@ -222,7 +222,7 @@ def _stems(robot: Robot) -> dict[str, str]:
 
 
 def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
-    """Return the equation of what a joint's drive puts on it: the load of effects in gear and drive; "" if unknown."""
+    """Return the equation of the drive's torque on a joint, the load of effects in gear and drive; "" if unknown."""
     if drive is None:
         return ""
     actuator = next(candidate for candidate in robot.actuators if candidate.joint == joint.name)

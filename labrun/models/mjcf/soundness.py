@@ -52,7 +52,7 @@ def require_links(path: Path) -> None:
 
 
 def check_inertias(spec: Any, path: Path, *, repair: bool) -> list[str]:
-    """Return what is said of bodies whose inertia no body can have, replaced by the nearest possible one.
+    """Return remarks on bodies with impossible inertias, which are replaced by the nearest possible ones.
 
     The moments of a body are sums of squares: none is more than the other two together, and all are positive.
 

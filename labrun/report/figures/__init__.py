@@ -15,7 +15,7 @@ __all__ = ["run_figure"]
 
 
 def run_figure(view: RunView, generations: Sequence[Mapping[str, Any]] = ()) -> Figure | None:
-    """Draw a run as its kind asks for; None where it has no accepted trial, or nothing that could be drawn.
+    """Plot a run according to its kind; return None without an accepted trial or anything to plot.
 
     Parameters
     ----------

@@ -229,7 +229,7 @@ def _clear_of(axes: Axes, width: float, floor: float) -> float:
 
 
 def _wrapped(step: str) -> str:
-    """Return a step of the ladder on lines that fit beside the bars."""
+    """Return the label of a ladder step, wrapped to fit beside the bars."""
     return step if len(step) <= _LONGEST_LABEL else step.replace(" at ", "\nat ")
 
 

@@ -137,7 +137,7 @@ def _draw_rest(axes: Axes, diagnosis: Diagnosis, trace: ComparedTrace, output: i
 
 
 def _points_figure(diagnosis: Diagnosis, traces: Sequence[ComparedTrace]) -> Figure:
-    """Draw readings without a course in time, beside each other."""
+    """Plot readings without a time axis, side by side."""
     outputs = worst_outputs(diagnosis, traces)
     places = np.arange(len(traces), dtype=float)
     with new_figure(9.4, 1.1 + 2.0 * len(outputs)) as figure:

@@ -1,4 +1,4 @@
-"""The figure of a plain run, and what it shares with others: traces, gait cycles, objectives with their repeats."""
+"""The figure of a plain run, and panels shared with others: traces, gait cycles, objectives with repeats."""
 
 import textwrap
 from collections.abc import Sequence
@@ -267,7 +267,7 @@ def cycles_of(view: RunView, trials: Sequence[TrialOutcome], channel: str) -> Fl
 
 
 def _travels(view: RunView, trial: TrialOutcome, channel: str) -> bool:
-    """Tell whether most of what a channel does in a cycle is that it goes on, whole cycles at a time."""
+    """Tell whether a channel mainly grows from cycle to cycle."""
     trace = view.trace(trial, channel)
     if trace is None or trial.period_s is None:
         return False

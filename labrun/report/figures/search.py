@@ -1,4 +1,4 @@
-"""The figure of a CMA-ES search: how it came to its best, and how sure that is."""
+"""The figure of a CMA-ES search: convergence, and the confirmed best with its interval."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -109,7 +109,7 @@ def _objective(axes: Axes, view: RunView, generations: Sequence[Generation]) -> 
 
 
 def _honest(axes: Axes, view: RunView, last: int, width: float) -> None:
-    """Draw the confirmed value in a field of its own, to the right of the last generation."""
+    """Plot the confirmed value to the right of the last generation."""
     best = view.best
     if best is None:
         return

@@ -1,4 +1,4 @@
-"""The figure of a closed-loop run: how each controller follows its reference, what it sets, how far it is off."""
+"""The figure of a closed-loop run: reference and feedback, drive, and error of each controller."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
