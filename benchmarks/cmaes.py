@@ -33,9 +33,9 @@ import cma
 import numpy as np
 from measuring import machine, table
 
+from labrun.experiment import Condition, Experiment
 from labrun.runner import Measurement, SilentProgress
 from labrun.search import search_by_cmaes
-from labrun.spec import Condition, Experiment
 from labrun.store.trial import TrialOutcome
 
 NAMES = tuple("abcdef")

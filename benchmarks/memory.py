@@ -21,8 +21,8 @@ from pathlib import Path
 
 from measuring import Stopwatch, machine, peak_mb, table
 
+from labrun.experiment import Experiment
 from labrun.runner import Rig, Session, SimulatedClock
-from labrun.spec import Experiment
 from labrun.store import RunFolder
 
 GOAL_MB = 500.0

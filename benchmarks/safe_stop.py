@@ -34,8 +34,8 @@ from measuring import machine, table
 
 from labrun.devices import Samples
 from labrun.errors import LabrunError
+from labrun.experiment import Experiment
 from labrun.runner import EmulatedBench, RealClock, Rig, Session, SilentProgress
-from labrun.spec import Experiment
 from labrun.store import RunFolder
 
 INSIDE = ("Ctrl-C", "exception", "lost sensor", "force limit")

@@ -24,8 +24,8 @@ import numpy as np
 from measuring import machine, table
 
 from labrun.errors import LabrunError
+from labrun.experiment import Experiment
 from labrun.runner import EmulatedBench, Interrupted, LimitReached, RealClock, Rig, Session, SilentProgress
-from labrun.spec import Experiment
 from labrun.store import RunFolder, TrialOutcome
 
 CLOCK = RealClock()

@@ -114,8 +114,8 @@ class Labrun(Side):
     def __init__(self, folder: Path, *, settle: bool = False, dry_run: bool = False) -> None:
         import tomllib
 
+        from labrun.experiment import Experiment
         from labrun.runner import Rig, Session, SimulatedClock
-        from labrun.spec import Experiment
         from labrun.store import RunFolder
 
         self.name = "labrun, trace" + (", with settling and tare" if settle else "")

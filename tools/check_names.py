@@ -8,7 +8,7 @@ from pathlib import Path
 
 BANNED = {"one", "found", "place", "told", "said", "begun", "beside"}
 CHECKED = ["labrun", "plugins", "tests", "benchmarks", "tools"]
-KEYS_OF_FILES = {("labrun/fit/crossing.py", "one"), ("labrun/spec/search_tables.py", "beside")}
+KEYS_OF_FILES = {("labrun/fit/crossing.py", "one"), ("labrun/experiment/search_tables.py", "beside")}
 """Attributes named after a key that users write in their experiments."""
 
 

@@ -7,7 +7,7 @@ anew.
 import re
 from pathlib import Path
 
-from labrun.spec import key_reference
+from labrun.experiment import key_reference
 from labrun.toml import FUNCTIONS
 
 PAGE = Path(__file__).parents[1] / "keys.md"

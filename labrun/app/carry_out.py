@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from labrun.devices import Excess
 from labrun.errors import ExperimentError, LabrunError, PlanError
+from labrun.experiment import LOOP_DEVICE, Condition, Experiment, condition_text
 from labrun.interrupts import Interrupted, handled, number_of, signal_name
 from labrun.objectives import make_objective
 from labrun.report import RunView, counted, experiment_of
@@ -55,7 +56,6 @@ from labrun.search import (
     search_by_cmaes,
     settings_of,
 )
-from labrun.spec import LOOP_DEVICE, Condition, Experiment, condition_text
 from labrun.store import RunFolder, TrialOutcome, open_run, remarks_of, replace_durably, saving
 
 FIGURE = "figure.png"

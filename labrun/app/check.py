@@ -6,6 +6,15 @@ from pathlib import Path
 
 from labrun.app.leaders import with_leaders
 from labrun.errors import PlanError, RequestError, SpecError
+from labrun.experiment import (
+    Condition,
+    Experiment,
+    LoadedExperiment,
+    condition_key,
+    condition_text,
+    find_experiment,
+    load_named,
+)
 from labrun.runner import (
     ConditionExcess,
     MotionMaker,
@@ -26,15 +35,6 @@ from labrun.search import (
     most_trials,
     settings_of,
     survey_space,
-)
-from labrun.spec import (
-    Condition,
-    Experiment,
-    LoadedExperiment,
-    condition_key,
-    condition_text,
-    find_experiment,
-    load_named,
 )
 from labrun.store import find_data, is_recording, lacking_room
 

@@ -12,12 +12,12 @@ from labrun.app.diagnose_robot import ROBOT, joint_by_joint, robot_of
 from labrun.app.question import ask, held_against, load_held, named_model
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
+from labrun.experiment import condition_key
 from labrun.fit import Dataset, OutputsAlone, Problem, divergence_warnings, load_dataset
 from labrun.gap import require_informative, with_sound_clocks
 from labrun.logs import doubts_of_columns, doubts_of_ranges, doubts_of_trial
 from labrun.models import Model
 from labrun.report import aligned, counted, short_time_text
-from labrun.spec import condition_key
 from labrun.store import Recording, SignalInfo, find_data, is_recording, read_recording
 
 _TURNED_TOO_FAR = 2.2 * math.pi

@@ -29,12 +29,7 @@ from labrun.design import (
     written_experiment,
 )
 from labrun.errors import PlanError, RequestError
-from labrun.interrupts import handled
-from labrun.objectives import make_objective
-from labrun.report import counted
-from labrun.runner import Plan, Progress, SearchSpace, SilentProgress
-from labrun.search import Best, RunResult, honest_best, read_generations, resume_line, search_by_cmaes
-from labrun.spec import (
+from labrun.experiment import (
     Experiment,
     LoadedExperiment,
     find_experiment,
@@ -44,6 +39,11 @@ from labrun.spec import (
     loads_experiment,
     shipped_experiments,
 )
+from labrun.interrupts import handled
+from labrun.objectives import make_objective
+from labrun.report import counted
+from labrun.runner import Plan, Progress, SearchSpace, SilentProgress
+from labrun.search import Best, RunResult, honest_best, read_generations, resume_line, search_by_cmaes
 from labrun.store import RunFolder, collect, replace_durably, saving
 from labrun.workers import Pool, cores, pool
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from labrun.app.run import behind_the_drivers
 from labrun.devices import Remark
 from labrun.errors import RequestError
+from labrun.experiment import load_named
 from labrun.runner import RealClock, Rig, SilentProgress, examine_machine, examine_rig, find_devices, ports_of
-from labrun.spec import load_named
 from labrun.store import lock_ports
 
 

@@ -13,10 +13,10 @@ from labrun.app.check_recording import checked_trials, doubts
 from labrun.app.kept import kept_folder, stem_of
 from labrun.app.question import declared_plan, fit_plan, named_model
 from labrun.errors import RequestError
+from labrun.experiment import apply_overrides, find_model_file, load_named
 from labrun.fit import GROUP, Dataset, FitJob, FitPlan, FitSummary, Note, is_method, make_method, silent
 from labrun.models import load_model, shipped_models
 from labrun.report import fit_figure, save_figure
-from labrun.spec import apply_overrides, find_model_file, load_named
 from labrun.store import find_data, is_recording, read_recording, replace_durably, require_writable
 from labrun.toml import nearest
 

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from labrun.errors import RequestError
-from labrun.report import experiment_of
-from labrun.search import NUMBER, conditions, leading_conditions, levels_of
-from labrun.spec import (
+from labrun.experiment import (
     Condition,
     Experiment,
     LeadersOf,
@@ -21,6 +19,8 @@ from labrun.spec import (
     load_experiment,
     loads_experiment,
 )
+from labrun.report import experiment_of
+from labrun.search import NUMBER, conditions, leading_conditions, levels_of
 from labrun.store import TrialOutcome, find_run, is_finished, mean_truncation, open_run
 from labrun.toml import written_in_order
 

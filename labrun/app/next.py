@@ -8,13 +8,13 @@ import numpy as np
 
 from labrun.app.question import ask, named_model
 from labrun.errors import RequestError
+from labrun.experiment import LoadedExperiment, load_named
 from labrun.fit import Note, silent
 from labrun.fit import workers as pool
 from labrun.gap.next import Proposal, RunBench, TrialPlan, free_place, propose, require_experiment_place
 from labrun.gap.next import plan_trials as plan
 from labrun.models import Model
 from labrun.search import at_settings, conditions, settings_of
-from labrun.spec import LoadedExperiment, load_named
 from labrun.store import find_data, require_writable
 from labrun.workers import cores
 

@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labrun.errors import RecordingError
+from labrun.experiment import condition_text
 from labrun.notebook import as_html
-from labrun.spec import condition_text
 from labrun.store import SPEC, Run, open_target, run_dataset, trial_dataset, trials_frame
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from labrun.experiment import Experiment
     from labrun.search import Best
-    from labrun.spec import Experiment
 
 
 def open(target: str | Path, results: str | Path = "results") -> "OpenRun":  # noqa: A001 - labrun.open, like h5py's and zarr's
@@ -126,7 +126,7 @@ class OpenRun:
         RecordingError
             This is a recording made elsewhere, which has no experiment file.
         """
-        from labrun.spec import loads_experiment
+        from labrun.experiment import loads_experiment
 
         if not self._has_experiment:
             raise RecordingError(f"{self.path} is a recording: it has no experiment file")

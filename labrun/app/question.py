@@ -5,10 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from labrun.errors import RequestError
+from labrun.experiment import FitTable, GapTable, find_model_file, loads_experiment
 from labrun.fit import Dataset, FitPlan, load_dataset, thinned, until_peak
 from labrun.gap import Question
 from labrun.models import Model, load_model
-from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment
 from labrun.store import imported_channels, is_recording, open_run
 from labrun.toml import suggest
 

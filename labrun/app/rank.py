@@ -10,9 +10,9 @@ import numpy as np
 from labrun.app.leaders import own_values
 from labrun.arrays import FloatArray
 from labrun.errors import RequestError
+from labrun.experiment import Condition, Experiment, condition_key
 from labrun.report import experiment_of
 from labrun.search import NUMBER, Cell, FieldColumn, Ranking, agreement, pooled_intervals
-from labrun.spec import Condition, Experiment, condition_key
 from labrun.store import TrialOutcome, find_run, mean_truncation, open_run, replace_durably
 
 FILE = "ranking.json"

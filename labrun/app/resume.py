@@ -10,10 +10,10 @@ from labrun.app.design import simulator_of
 from labrun.app.run import behind_the_drivers, connected, who_mounts
 from labrun.blind import concealed, is_sealed, read_seal
 from labrun.errors import LabrunError, RequestError
+from labrun.experiment import load_experiment, loads_experiment
 from labrun.interrupts import Interrupted, handled
 from labrun.runner import Progress, RealClock, Rig, SilentProgress, SimulatedClock
 from labrun.search import RunResult, resume_line, stored_result
-from labrun.spec import load_experiment, loads_experiment
 from labrun.store import RunFolder, find_unfinished, is_finished
 
 _MOST_CHANGES = 8

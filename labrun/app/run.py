@@ -11,6 +11,7 @@ from labrun.app.check import NO_SCENE, require_room, whole_plan
 from labrun.app.leaders import missing_beside, with_leaders
 from labrun.devices import NoTerminalError, Terminal
 from labrun.errors import RequestError
+from labrun.experiment import Experiment, LoadedExperiment, load_named, scene_of
 from labrun.interrupts import handled
 from labrun.objectives import ASKED
 from labrun.runner import (
@@ -28,7 +29,6 @@ from labrun.runner import (
     ports_of,
 )
 from labrun.search import RunResult
-from labrun.spec import Experiment, LoadedExperiment, load_named, scene_of
 from labrun.store import RunFolder, collect, lock_ports
 
 

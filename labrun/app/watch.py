@@ -5,9 +5,9 @@ from pathlib import Path
 
 from labrun.devices import Clock
 from labrun.errors import LabrunError, RequestError
+from labrun.experiment import Experiment, loads_experiment
 from labrun.report import Snapshot, State, duration_text, event_text
 from labrun.search import Best, BestSoFar, BestYet, resume_line, stored_result
-from labrun.spec import Experiment, loads_experiment
 from labrun.store import JOURNAL, SPEC, RunWatch, Trace, known_units, read_trace
 
 _CLOCKS_AGREE_S = 60.0

@@ -13,9 +13,9 @@ from labrun.blind.rehearsal import HidingScene, Rehearsal, concealed, hiding_sce
 from labrun.blind.seal import PARAMETER, Seal, is_sealed, read_seal
 from labrun.effects import Effect, EffectParameter, Scale, effects, load_effect
 from labrun.errors import ModelError, PluginError, RequestError
+from labrun.experiment import Experiment, LoadedExperiment, Value, find_model_file
 from labrun.models import Model, Site, load_model
 from labrun.search import conditions as conditions_of
-from labrun.spec import Experiment, LoadedExperiment, Value, find_model_file
 from labrun.store import RunFolder, find_run
 from labrun.toml import suggest
 

@@ -12,9 +12,9 @@ from labrun.blind.seal import PARAMETER
 from labrun.devices import Scene, Trajectory
 from labrun.effects import Scale
 from labrun.errors import ExperimentError, RequestError
+from labrun.experiment import Experiment, SceneTable, Value
 from labrun.models import Model, Site
 from labrun.runner import MotionMaker, Rig, SimulatedClock, TrialMotion, smooth_move
-from labrun.spec import Experiment, SceneTable, Value
 
 _KEYS = ("effect", "site", "kind", "values")
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def complete_experiment(ctx: typer.Context, incomplete: str) -> list[str]:
     """Offer the experiments of this workspace and those that ship with labrun; of its kind to `labrun sweep`, say."""
-    from labrun.spec import summarise_workspace
+    from labrun.experiment import summarise_workspace
 
     kind = ctx.info_name if ctx.info_name in ("sweep", "track", "cmaes", "design") else None
     workspace = summarise_workspace(Path.cwd(), RESULTS)

@@ -28,7 +28,7 @@ def init(
     Example:  labrun init my-bench
     """
     with reported(as_json):
-        from labrun.spec import create_workspace
+        from labrun.experiment import create_workspace
 
         written, left = create_workspace(directory)
     if as_json:
@@ -48,7 +48,7 @@ def list_(results: options.Results = options.RESULTS, as_json: options.Json = Fa
     Example:  labrun list
     """
     with reported(as_json):
-        from labrun.spec import summarise_workspace
+        from labrun.experiment import summarise_workspace
 
         summaries = summarise_workspace(Path.cwd(), results)
     if as_json:
@@ -75,7 +75,7 @@ def keys(
     Example:  labrun keys trial.settle
     """
     with reported(as_json):
-        from labrun.spec import keys_at
+        from labrun.experiment import keys_at
 
         listed = keys_at(path)
     if as_json:
@@ -99,7 +99,7 @@ def new(
     Example:  labrun new my-arm --devices dynamixel,ati-netft
     """
     with reported(as_json):
-        from labrun.spec import new_experiment
+        from labrun.experiment import new_experiment
 
         plugins = [plugin.strip() for plugin in devices.split(",") if plugin.strip()]
         path = new_experiment(name, plugins, kind.value, Path("experiments"))

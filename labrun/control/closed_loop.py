@@ -13,10 +13,10 @@ from labrun.control.making import make_feedback, watched_by
 from labrun.control.protocol import Condition, Feedback, LoopContext
 from labrun.devices import Channel, FloatArray, Samples, Trajectory
 from labrun.errors import SpecError
+from labrun.experiment import LOOP_DEVICE, TIMING_CHANNELS, Experiment, LoopTable, Track, condition_text
 from labrun.gaits import Steering, make_gait, steering_of
 from labrun.runner import LEAD_S, TAIL_S, Handle, Rig, SimulatedClock, TrialRecording
 from labrun.signals import TIMES
-from labrun.spec import LOOP_DEVICE, TIMING_CHANNELS, Experiment, LoopTable, Track, condition_text
 
 _SAME_S = 1e-6
 """Two points of a command are further apart than this."""

@@ -10,12 +10,12 @@ from labrun.control.history import History
 from labrun.control.making import controller_of, make_controllers, make_references
 from labrun.control.protocol import Condition, Feedback, LoopContext, Numbers, VectorStep
 from labrun.errors import ExperimentError
-from labrun.spec import LoopTable
+from labrun.experiment import LoopTable
 
 
 @dataclass(frozen=True, slots=True)
 class LoopRecord:
-    """One step of a loop, as it is stored: in the order of `labrun.spec.LoopShape.channels`, a number for each part."""
+    """One step of a loop, as it is stored: in the order of `LoopShape.channels`, a number for each part."""
 
     reference: Numbers
     feedback: Numbers

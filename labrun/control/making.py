@@ -19,7 +19,7 @@ from labrun.control.protocol import (
     VectorStep,
 )
 from labrun.errors import PluginError, SpecError
-from labrun.spec import LoopTable, named_channels, resolved_settings
+from labrun.experiment import LoopTable, named_channels, resolved_settings
 from labrun.toml import PluginTable, suggest
 
 REFERENCES = "labrun.references"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from labrun.control.history import History
-from labrun.spec import Value
+from labrun.experiment import Value
 
 Condition = Mapping[str, Value]
 FindFile = Callable[[str], Path]

@@ -10,9 +10,9 @@ import numpy as np
 from labrun.design.simulator import Simulated, Simulator
 from labrun.devices import Channel, Samples
 from labrun.errors import LabrunError
+from labrun.experiment import SIMULATION, Condition, RepeatRule, condition_key
 from labrun.runner import Measurement, Progress
 from labrun.search import Violations
-from labrun.spec import SIMULATION, Condition, RepeatRule, condition_key
 from labrun.store import Role, RunFolder, TrialOutcome
 from labrun.workers import Pool, spread
 

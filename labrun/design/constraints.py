@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.experiment import SUMMARIES, Design
 from labrun.search import Constraint, Violations
-from labrun.spec import SUMMARIES, Design
 from labrun.toml import evaluate, names_in
 
 _ACTIVE = 0.02

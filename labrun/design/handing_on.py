@@ -10,8 +10,8 @@ import tomli_w
 
 from labrun.design.simulator import Simulator
 from labrun.errors import RequestError
+from labrun.experiment import BRACES, Condition, Design, WrittenExperiment
 from labrun.models import corrected_model_text, load_model
-from labrun.spec import BRACES, Condition, Design, WrittenExperiment
 from labrun.toml import Expression, KeyPath, locate, replaced, suggest
 
 MADE = "# Written by labrun design"

@@ -12,11 +12,11 @@ from labrun.arrays import FloatArray
 from labrun.design.constraints import DesignConstraints, Margin, summary
 from labrun.errors import PlanError, SpecError
 from labrun.estimate import outside_text
+from labrun.experiment import SIMULATION, Condition, Design, Experiment
 from labrun.models import Model, load_model, simulate
 from labrun.runner import MotionMaker, ObjectiveError, ObjectiveEvaluation
 from labrun.search import Violations
 from labrun.signals import Signals
-from labrun.spec import SIMULATION, Condition, Design, Experiment
 from labrun.toml import ExpressionError, suggest
 
 _UNFIT = "cannot be simulated: "

@@ -4,6 +4,7 @@ import sys
 
 from labrun import UseCasePackage
 from labrun.estimate import Estimate, rounded
+from labrun.experiment import condition_text
 from labrun.fit.comparison import (
     LEAST_SIZE,
     ComparedPoint,
@@ -45,7 +46,6 @@ from labrun.fit.uncertainty import (
     student,
 )
 from labrun.fit.variables import FIRST_SAMPLES, SIMULATED, Deviation, DeviationKind
-from labrun.spec import condition_text
 from labrun.store import Run, TrialOutcome, is_recording, open_run
 
 __all__ = [

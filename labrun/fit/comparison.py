@@ -8,11 +8,11 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import RequestError
+from labrun.experiment import condition_key, condition_text
 from labrun.fit.dataset import Dataset
 from labrun.fit.problem import Problem
 from labrun.models import Model, simulate
 from labrun.signals import Signal
-from labrun.spec import condition_key, condition_text
 from labrun.store import COMMAND, Run, TrialOutcome, imported_channels, is_recording
 
 LEAST_SIZE = 0.05

@@ -15,9 +15,9 @@ from pydantic import BaseModel, Field
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
+from labrun.experiment import condition_text
 from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
-from labrun.spec import condition_text
 from labrun.store import Run, TrialOutcome, is_recording, open_run
 from labrun.toml import Keys, suggest
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RecordingError, RequestError
+from labrun.experiment import CYCLES, condition_text
 from labrun.models import Input, Model, Output
 from labrun.signals import Signals
-from labrun.spec import CYCLES, condition_text
 from labrun.store import (
     COMMAND,
     Recording,

@@ -10,9 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validato
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
+from labrun.experiment import Experiment, condition_text, loads_experiment
 from labrun.fit.dataset import DataCheck, Dataset, FitTrial, unchecked
 from labrun.signals import Signals
-from labrun.spec import Experiment, condition_text, loads_experiment
 from labrun.store import COMMAND, TrialOutcome, imported_channels, is_recording, open_run
 from labrun.toml import resolve, suggest
 

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from labrun.errors import SpecError
+from labrun.experiment import Condition
 from labrun.gaits.protocol import ExpressionGait, Given, Scope, Steering, in_columns
 from labrun.gaits.sine import common_period_s
-from labrun.spec import Condition
 from labrun.toml import Expression, Table
 
 

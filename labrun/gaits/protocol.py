@@ -11,7 +11,7 @@ from labrun import registry
 from labrun.arrays import FloatArray
 from labrun.devices import Trajectory
 from labrun.errors import SpecError
-from labrun.spec import Condition, GaitTable
+from labrun.experiment import Condition, GaitTable
 from labrun.toml import Expression, Table, checked, in_order, resolve
 
 

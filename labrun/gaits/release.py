@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
+from labrun.experiment import Condition
 from labrun.gaits.protocol import ExpressionGait, Given, Scope, Steering, in_columns
-from labrun.spec import Condition
 from labrun.toml import Expression, Table
 
 

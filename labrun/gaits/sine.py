@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.experiment import Condition
 from labrun.gaits.protocol import ExpressionGait, Given, Quantity, Scope, Steering
-from labrun.spec import Condition
 from labrun.toml import Expression, Table
 
 _ZERO = Expression.of(0.0)

@@ -9,9 +9,9 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import SpecError
+from labrun.experiment import Condition
 from labrun.gaits.protocol import ExpressionGait, Given, Scope, Steering, in_columns
 from labrun.gaits.sine import common_period_s
-from labrun.spec import Condition
 from labrun.toml import Expression, Table
 
 _WHOLE = 1e-9

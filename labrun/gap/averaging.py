@@ -8,10 +8,10 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
+from labrun.experiment import condition_key, condition_text, only, varying
 from labrun.fit import FIRST_SAMPLES, Dataset, FitTrial
 from labrun.gap import criteria
 from labrun.models import Model
-from labrun.spec import condition_key, condition_text, only, varying
 
 _FEWEST_ALIGNED_SAMPLES = 8
 """Shorter repeats are not carried over to one time base, and say nothing about how they begin."""

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import RecordingError
+from labrun.experiment import condition_key
 from labrun.fit import FEWEST_SAMPLES, Dataset, FitTrial
 from labrun.gap import numerics
-from labrun.spec import condition_key
 
 _LONG_STEP = 5.0
 """A time step this many times as long as the usual one is a jump of the clock, or samples are missing."""

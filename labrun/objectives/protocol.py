@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from labrun.devices import FloatArray, Trajectory
 from labrun.errors import ExperimentError, SpecError
+from labrun.experiment import Averaging, ObjectiveTable, Value
 from labrun.objectives.window import averaging_window
 from labrun.signals import Signal
-from labrun.spec import Averaging, ObjectiveTable, Value
 from labrun.toml import suggest
 
 

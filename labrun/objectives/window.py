@@ -15,8 +15,8 @@ from functools import lru_cache
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.experiment import Averaging
 from labrun.signals import Signal
-from labrun.spec import Averaging
 
 RESIDUAL = 0.02
 """Share of a cycle that a joint may be short of a whole number, for a window to count as one of beats."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from labrun.experiment import only, varying
 from labrun.fit import LEAST_SIZE, ComparedPoint, Comparison, Curve, FigureData, Pair, Panel, Stack
 from labrun.report.statistics import root_mean_square
 from labrun.report.text import (
@@ -24,7 +25,6 @@ from labrun.report.text import (
     with_unit,
 )
 from labrun.search import NUMBER, Agreement, Ranking
-from labrun.spec import only, varying
 
 _SHOWN = 12
 _OVERLAYS, _ACROSS = 6, 3

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from labrun.experiment import Condition, Experiment, Value, condition_key, varying
 from labrun.report.data import Point, RunView, by_condition
 from labrun.report.page import PageTable
 from labrun.report.text import (
@@ -18,7 +19,6 @@ from labrun.report.text import (
     with_unit,
 )
 from labrun.search import combined_text, combined_values, leading_conditions, mean_error
-from labrun.spec import Condition, Experiment, Value, condition_key, varying
 from labrun.store import TrialOutcome
 
 _Key = tuple[tuple[str, Value], ...]

@@ -9,10 +9,10 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import PluginError, SpecError
+from labrun.experiment import CYCLES, Experiment, FitTable, Value, condition_key, loads_experiment
 from labrun.objectives import make_objective
 from labrun.report.text import condition_text, interval_text, spaced, with_unit
 from labrun.search import Best, t_interval
-from labrun.spec import CYCLES, Experiment, FitTable, Value, condition_key, loads_experiment
 from labrun.store import Run, TrialOutcome, imported_channels, mean_truncation
 
 

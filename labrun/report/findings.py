@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from labrun.estimate import Estimate
+from labrun.experiment import PAST, condition_text
 from labrun.report.conditions import ConditionResult, condition_results, most_promising
 from labrun.report.data import RunView, by_condition, trial_tare_s
 from labrun.report.statistics import Drift, Repeatability, Settling, drift, repeatability, settling
 from labrun.report.timing import BenchTime, LoopHealth, StreamHealth, bench_time, loop_health, stream_health
 from labrun.runner import unsettled
 from labrun.search import RunResult
-from labrun.spec import PAST, condition_text
 from labrun.store import Run, TrialOutcome, imported_channels, imported_source, remarks_of
 
 _STREAMS_LOOKED_AT = 40

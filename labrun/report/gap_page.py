@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from labrun.experiment import condition_key
 from labrun.gap import ComparedTrace, Diagnosis, MissingForce, RatedCandidate
 from labrun.report import gap_words
 from labrun.report.figures.gap import how_far_figure, where_figure
@@ -20,7 +21,6 @@ from labrun.report.gap_words import (
 )
 from labrun.report.page import PageFigure, PageTable, drawn, render
 from labrun.report.text import listed, number, percent, scatter_text, spaced, unit_text, with_unit
-from labrun.spec import condition_key
 
 _SHOWN = 10
 _MOST_FORCES = 2

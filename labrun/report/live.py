@@ -18,6 +18,7 @@ from rich.text import Text
 
 from labrun.arrays import FloatArray
 from labrun.devices import Clock
+from labrun.experiment import Condition
 from labrun.report.text import (
     condition_text,
     duration_text,
@@ -28,7 +29,6 @@ from labrun.report.text import (
 )
 from labrun.runner import SilentProgress
 from labrun.search import Best, BestYet
-from labrun.spec import Condition
 from labrun.store import Trace, TrialOutcome
 
 _REFRESHES_PER_S = 8

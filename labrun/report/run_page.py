@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from labrun.estimate import Estimate, rounded
+from labrun.experiment import condition_text
 from labrun.report.conditions import conditions_context
 from labrun.report.figures import run_figure
 from labrun.report.figures.trust import MOST_PANELS, draw_drift, draw_repeatability, draw_settling
@@ -35,7 +36,6 @@ from labrun.report.verdict import (
 )
 from labrun.search import apart_text, resume_line
 from labrun.signals import Signals
-from labrun.spec import condition_text
 from labrun.store import TrialOutcome
 
 _SHOWN_ELSEWHERE = frozenset(

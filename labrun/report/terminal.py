@@ -15,6 +15,7 @@ from rich.text import Text
 
 from labrun.devices import Remark
 from labrun.estimate import rounded
+from labrun.experiment import Key, varying
 from labrun.report.conditions import ConditionResult, standard_error
 from labrun.report.data import Point
 from labrun.report.findings import Findings, StoredFit
@@ -36,7 +37,6 @@ from labrun.report.text import (
 from labrun.report.timing import LEAST_JITTER_S, clock_text, loop_words
 from labrun.runner import JointPeak, Plan, percent
 from labrun.search import Best, combined_text, unsettled_text
-from labrun.spec import Key, varying
 
 _MOST_REASONS = 6
 _LINK = re.compile(r"\[(.*?)\]\(#[^)]*\)")

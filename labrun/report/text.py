@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from labrun.estimate import Estimate, rounded, significant
-from labrun.spec import Condition, Value
-from labrun.spec import condition_text as plain_condition_text
-from labrun.spec import value_text as plain_value_text
+from labrun.experiment import Condition, Value
+from labrun.experiment import condition_text as plain_condition_text
+from labrun.experiment import value_text as plain_value_text
 from labrun.toml import UNITS, split_unit
 
 _DIGITS = 4

@@ -10,10 +10,10 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.devices import Pacing
+from labrun.experiment import LOOP_DEVICE
 from labrun.report.data import RunView
 from labrun.report.text import milliseconds_text
 from labrun.signals import Signals
-from labrun.spec import LOOP_DEVICE
 from labrun.store import JUMP_S, StreamReport, TrialOutcome, stream_report
 
 STEPS = ("move", "settle", "tare", "record", "safe pose", "store")

@@ -6,6 +6,7 @@ from typing import Literal
 
 from scipy.special import stdtrit
 
+from labrun.experiment import condition_key, varying
 from labrun.report.findings import Findings
 from labrun.report.statistics import Drift, Repeatability, Settling, grows_with_size, spreads
 from labrun.report.text import (
@@ -20,7 +21,6 @@ from labrun.report.text import (
     slope_words,
     spaced,
 )
-from labrun.spec import condition_key, varying
 
 _KINDS = {
     "run": "run",

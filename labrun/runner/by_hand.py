@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from labrun.experiment import ByHand, Condition, condition_key, condition_text
 from labrun.runner.asking import Meant, Person, answered
 from labrun.runner.measurement import Order, block_order
-from labrun.spec import ByHand, Condition, condition_key, condition_text
 from labrun.store import Journal
 
 SET_ASIDE = "set aside: "

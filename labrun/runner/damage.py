@@ -5,8 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from labrun.errors import LabrunError
-from labrun.runner.rig import Rig
-from labrun.spec import (
+from labrun.experiment import (
     BROKEN,
     PAST,
     ByHand,
@@ -16,6 +15,7 @@ from labrun.spec import (
     condition_key,
     condition_text,
 )
+from labrun.runner.rig import Rig
 from labrun.store import RunFolder, TrialOutcome, all_runs, open_run
 
 _WORN = "worn"

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from labrun.devices import FloatArray, Trajectory
 from labrun.errors import DeviceError
+from labrun.experiment import Follow
 from labrun.runner.motion import TrialMotion
 from labrun.runner.rig import Rig
 from labrun.signals import LongSignals, Signal, Signals
-from labrun.spec import Follow
 
 _WINDOW = 4
 """The time beyond the limit is added up over so many times `for_s`: an oscillating command passes a limp joint twice

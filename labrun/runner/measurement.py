@@ -10,10 +10,10 @@ import numpy as np
 
 from labrun.devices import FloatArray
 from labrun.errors import ExperimentError, LabrunError
+from labrun.experiment import Condition, Experiment, Outliers, RepeatRule, condition_text
 from labrun.objectives import Asked, Objective, Remarking, TrialSignals, Truncated, make_objective
 from labrun.runner.motion import TrialMotion
 from labrun.signals import LongSignals, Signal, Signals
-from labrun.spec import Condition, Experiment, Outliers, RepeatRule, condition_text
 from labrun.store import Role, TrialOutcome, mean_truncation
 
 

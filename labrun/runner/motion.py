@@ -9,8 +9,8 @@ import numpy as np
 
 from labrun.devices import Excess, FloatArray, Limits, Trajectory
 from labrun.errors import PlanError
+from labrun.experiment import Condition, Experiment, Track, condition_text
 from labrun.gaits import Gait, OscillatingGait, Steering, make_gait, steering_of
-from labrun.spec import Condition, Experiment, Track, condition_text
 from labrun.toml import evaluate
 
 _VALUES = 5

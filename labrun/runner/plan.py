@@ -12,13 +12,13 @@ import numpy as np
 from labrun.devices import Excess, FloatArray, Limits
 from labrun.devices.clock import SimulatedClock
 from labrun.errors import ExperimentError, LabrunError, PlanError, SpecError, StoreError
+from labrun.experiment import LOOP_DEVICE, CarriageMove, Condition, Experiment, Settle, condition_text
 from labrun.notebook import as_reported
 from labrun.objectives import TrialSignals
 from labrun.runner.motion import Envelope, MotionMaker, TrialMotion, loop_notes, smooth_move
 from labrun.runner.rig import Rig
 from labrun.runner.settle import settle_estimate_s, watched_channels
 from labrun.runner.tare import tared_devices
-from labrun.spec import LOOP_DEVICE, CarriageMove, Condition, Experiment, Settle, condition_text
 from labrun.store import check_columns, check_names
 
 _ORDER_WITHOUT_RAMPS = 2

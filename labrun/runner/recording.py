@@ -8,9 +8,9 @@ import numpy as np
 from labrun.devices import Excess, Samples, Trajectory
 from labrun.errors import DeviceError
 from labrun.estimate import outside_text
+from labrun.experiment import Condition, Experiment
 from labrun.runner.bench import Bench
 from labrun.runner.motion import MotionMaker, TrialMotion
-from labrun.spec import Condition, Experiment
 from labrun.store import Role, TrialWriter
 
 LEAD_S = 0.05

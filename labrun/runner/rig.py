@@ -19,6 +19,7 @@ from labrun.devices import (
     Sensor,
 )
 from labrun.errors import DeviceError, LabrunError, RequestError, SpecError
+from labrun.experiment import Experiment, scene_of
 from labrun.registry import load
 from labrun.runner.resolve import STAND_IN, EmulatedBench, ResolvedDevice, missing_ports, resolve_device
 from labrun.runner.safety import (
@@ -30,7 +31,6 @@ from labrun.runner.safety import (
     stop_all,
     wrong_answer,
 )
-from labrun.spec import Experiment, scene_of
 
 _SCENE_STREAM = 0x5CE
 _DEVICE_STREAM = 0xDEF

@@ -8,6 +8,7 @@ from typing import Self
 from labrun.devices import Clock
 from labrun.devices.clock import RealClock
 from labrun.errors import DeviceError, ExperimentError, LimitExceededError, RecordingError
+from labrun.experiment import Condition, Experiment, RepeatRule, condition_text
 from labrun.interrupts import Interrupted, Interrupts, handled
 from labrun.runner.asking import AutoConfirm, Person
 from labrun.runner.bench import Bench
@@ -21,7 +22,6 @@ from labrun.runner.rig import Rig
 from labrun.runner.safety import LimitReached
 from labrun.runner.settle import needs_baseline, unsettled
 from labrun.runner.trial import TrialRunner
-from labrun.spec import Condition, Experiment, RepeatRule, condition_text
 from labrun.store import Role, RunFolder, TrialOutcome
 
 

@@ -7,11 +7,11 @@ import numpy as np
 
 from labrun.devices import Samples
 from labrun.errors import ExperimentError, SettleError, SpecError
+from labrun.experiment import Settle
 from labrun.runner.bench import Bench
 from labrun.runner.rig import Rig
 from labrun.runner.stillness import BaselineMeter, Bounds, SettleDetector, Watched
 from labrun.signals import Signals
-from labrun.spec import Settle
 from labrun.store import SettleSummary, TrialOutcome, settle_curve
 
 _BASELINE_HOLDS = 6.0

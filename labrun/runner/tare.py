@@ -6,10 +6,10 @@ import numpy as np
 
 from labrun.devices import FloatArray, Samples
 from labrun.errors import DeviceError, SpecError
+from labrun.experiment import Experiment, Tare
 from labrun.objectives import make_objective
 from labrun.runner.bench import Bench
 from labrun.runner.rig import Rig
-from labrun.spec import Experiment, Tare
 
 _FORCE_UNITS = ("N", "N m")
 

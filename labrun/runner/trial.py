@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from labrun.errors import DeviceError, ExperimentError, LabrunError
+from labrun.experiment import Experiment, Settle, condition_text, scene_of
 from labrun.runner.asking import Asking, AutoConfirm, Onlooker, Person
 from labrun.runner.bench import Bench
 from labrun.runner.damage import Damage
@@ -17,7 +18,6 @@ from labrun.runner.recording import Recorder, SampleCollector, TrialRecording, T
 from labrun.runner.settle import Settled, measure_baseline, settle
 from labrun.runner.stillness import Bounds
 from labrun.runner.tare import tare
-from labrun.spec import Experiment, Settle, condition_text, scene_of
 from labrun.store import RunFolder, TrialOutcome, TrialWriter, in_bytes, json_ready
 
 BASELINE_INDEX = 2**31 - 1

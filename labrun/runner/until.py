@@ -11,12 +11,12 @@ import numpy as np
 
 from labrun.devices import Channel, Samples, Trajectory
 from labrun.errors import ExperimentError
+from labrun.experiment import CYCLES, Criterion, Experiment
 from labrun.objectives import make_objective
 from labrun.runner.measurement import ObjectiveEvaluation
 from labrun.runner.recording import LEAD_S, TAIL_S, TrialRecording
 from labrun.runner.rig import Rig
 from labrun.signals import Signals
-from labrun.spec import CYCLES, Criterion, Experiment
 from labrun.store import Journal, RunFolder, dated, tare_of, undated
 
 _HEAD, _CYCLE, _HELD, _REST = "begun", "cycle", "held", "rest"

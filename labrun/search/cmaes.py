@@ -11,13 +11,13 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import PlanError, StoreError
+from labrun.experiment import CmaEs, Condition, Experiment, condition_key, condition_text
 from labrun.runner import Progress
 from labrun.search.constraints import Violations, penalised
 from labrun.search.ending import StopWatch, Verdict, judge
 from labrun.search.leaders import Measured, Measures, pooled_variance
 from labrun.search.planned import settings_of, start_of_search
 from labrun.search.strategy import Strategy
-from labrun.spec import CmaEs, Condition, Experiment, condition_key, condition_text
 from labrun.store import replace_durably, saving
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from labrun.arrays import FloatArray
 from labrun.devices import Excess
 from labrun.errors import RequestError, SpecError
-from labrun.spec import CmaEs, Condition, Penalty
+from labrun.experiment import CmaEs, Condition, Penalty
 from labrun.toml import Expression, ExpressionError, KeyPath, dotted, evaluate
 
 _TOLERANCE = 1e-9

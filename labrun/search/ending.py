@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from labrun.spec import StopRules
+from labrun.experiment import StopRules
 
 Ending = Literal["converged", "stagnated", "budget spent", "constant"]
 

@@ -13,8 +13,8 @@ from typing import Literal, Protocol
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.experiment import Condition, Leaders, RepeatRule, condition_key
 from labrun.search.result import Best
-from labrun.spec import Condition, Leaders, RepeatRule, condition_key
 from labrun.store import Role, TrialOutcome
 
 Goal = Literal["maximise", "minimise"]

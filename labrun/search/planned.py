@@ -17,9 +17,19 @@ from numpy.typing import NDArray
 from labrun.arrays import FloatArray
 from labrun.devices import Excess
 from labrun.errors import PlanError
+from labrun.experiment import (
+    Combine,
+    Condition,
+    Experiment,
+    Interval,
+    Range,
+    RepeatRule,
+    Sweep,
+    Value,
+    value_text,
+)
 from labrun.search.constraints import Constraint, LimitExcesses, constraints
 from labrun.search.leaders import Measured, Measures, Numbers
-from labrun.spec import Combine, Condition, Experiment, Interval, Range, RepeatRule, Sweep, Value, value_text
 from labrun.store import Role
 
 _LARGEST_GRID = 2_000_000

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Sequence
 
 from labrun.errors import LabrunError
+from labrun.experiment import Condition, Experiment, Interval
 from labrun.search.constraints import Feasibility, LimitExcesses, constraints
 from labrun.search.planned import axis_values
-from labrun.spec import Condition, Experiment, Interval
 
 _NEAR = 0.01
 """A value closer to an end of its range than this share of it stands at that end."""

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.experiment import Condition
 from labrun.notebook import as_reported
 from labrun.search.leaders import t_interval
-from labrun.spec import Condition
 
 NUMBER = "gait"
 """The name under which conditions that were taken over from another run are numbered, from 1."""

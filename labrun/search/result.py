@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from labrun.errors import RecordingError
+from labrun.experiment import Value, condition_text, value_text
 from labrun.notebook import as_html
 from labrun.search.ending import Verdict
-from labrun.spec import Value, condition_text, value_text
 
 RESULT_FILE = "result.json"
 _MOST_REASONS = 4
@@ -34,7 +34,7 @@ class Best:
     trials
         Number of confirming trials behind `value`.
     truncation
-        The part of the interval, to either side, that cycles cut by the window make; see `labrun.spec.Averaging`.
+        The part of the interval, to either side, that cycles cut by the window make; see `labrun.experiment.Averaging`.
     range_ends
         Sentences on the ranges at whose end the winner stands, see `labrun.search.range_ends`.
     combined

@@ -8,10 +8,10 @@ import numpy as np
 
 from labrun.devices import Excess
 from labrun.errors import PlanError
+from labrun.experiment import CmaEs, Condition, Experiment, condition_key
 from labrun.runner import ConditionExcess, Plan, SearchSpace, SpaceBreak, percent
 from labrun.search.constraints import Feasibility, LimitExcesses, constraints, probes
 from labrun.search.planned import levels_of, settings_of, start_of_search
-from labrun.spec import CmaEs, Condition, Experiment, condition_key
 
 _POINTS = 8192
 """Looked at for the constraints, which cost nothing."""

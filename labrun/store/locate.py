@@ -72,7 +72,7 @@ def find_data(target: str | Path, results: Path) -> Path:
     RequestError
         There is none; names what is nearest.
     """
-    from labrun.spec import shipped_experiments
+    from labrun.experiment import shipped_experiments
 
     folder = Path(target).expanduser()
     if is_recording(folder):
@@ -141,7 +141,7 @@ def _age(run: Path) -> tuple[str, int]:
 
 
 def _unknown(target: str, results: Path) -> RequestError:
-    from labrun.spec import list_experiments
+    from labrun.experiment import list_experiments
 
     files = {path.stem: path for path in list_experiments(Path.cwd())}
     if target in files:

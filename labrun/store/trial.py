@@ -250,8 +250,8 @@ def known_units(spec_toml: str, channel_units: Mapping[str, str]) -> dict[str, s
 
 def _objective_unit(name: str, settings: Mapping[str, Any], channel_units: Mapping[str, str]) -> str:
     from labrun.errors import LabrunError
+    from labrun.experiment import ObjectiveTable
     from labrun.objectives import make_objective
-    from labrun.spec import ObjectiveTable
 
     unit = channel_units.get(str(settings.get("channel", "")), "")
     try:

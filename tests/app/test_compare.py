@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 import labrun
 from labrun.cli.app import app
 from labrun.errors import RequestError
+from labrun.experiment import shipped_experiments
 from labrun.report.comparison import comparison_figure
-from labrun.spec import shipped_experiments
 
 DRAG = {0.1: (0.05, 0.052), 0.2: (0.2,), 0.4: (0.8,)}
 THEORY = """

@@ -7,8 +7,8 @@ import pytest
 import labrun
 from labrun.app.leaders import leaders_of
 from labrun.errors import RequestError, SpecError
+from labrun.experiment import condition_key, load_experiment
 from labrun.runner import SilentProgress
-from labrun.spec import condition_key, load_experiment
 from labrun.store import open_run
 
 LAB = """

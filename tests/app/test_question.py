@@ -5,7 +5,7 @@ import pytest
 import labrun
 from labrun.app.question import ask
 from labrun.errors import RequestError, SpecError
-from labrun.spec import loads_experiment, shipped_experiments
+from labrun.experiment import loads_experiment, shipped_experiments
 
 STRIPS = ("run.conditions=[{specimen=1},{specimen=2},{specimen=3}]",)
 

@@ -7,7 +7,7 @@ import pytest
 
 from labrun.blind.hiding import conditions_of, named_model
 from labrun.blind.rehearsal import Rehearsal
-from labrun.spec import load_named
+from labrun.experiment import load_named
 
 
 def rehearsal_of(name: str, *overrides: str) -> Rehearsal:

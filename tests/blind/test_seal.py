@@ -15,9 +15,9 @@ from labrun.blind import Seal, named_model, redacted, reveal, write_seal
 from labrun.blind.hiding import choose_hidden
 from labrun.effects import effects
 from labrun.errors import RecordingError, RequestError
+from labrun.experiment import load_named
 from labrun.runner import SilentProgress
 from labrun.search import conditions
-from labrun.spec import load_named
 from labrun.store import open_run
 
 SMALL = ("run.conditions=[{release=20},{release=40}]", "trial.repeats=2", "trial.duration_s=3")

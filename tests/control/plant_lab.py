@@ -5,8 +5,8 @@ import tomllib
 from pathlib import Path
 
 from labrun.control.closed_loop import ClosedLoopRecorder
+from labrun.experiment import Experiment
 from labrun.runner import Rig, Session, SimulatedClock
-from labrun.spec import Experiment
 from labrun.store import RunFolder, open_run
 
 EXPERIMENT = """

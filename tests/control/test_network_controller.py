@@ -12,8 +12,8 @@ from labrun.control.loop import Loop
 from labrun.control.network import NetworkController
 from labrun.control.protocol import LoopContext, VectorStep
 from labrun.errors import ExperimentError, SpecError
+from labrun.experiment import LoopTable
 from labrun.learned import LearnedModel, Network, Scaling, to_table
-from labrun.spec import LoopTable
 
 TRUE = np.array([[2.0, -1.0], [0.5, 3.0]])
 

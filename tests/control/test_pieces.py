@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labrun.control.closed_loop import Pieces
+from labrun.experiment import GaitTable
 from labrun.gaits import make_gait, steering_of
-from labrun.spec import GaitTable
 
 SINE = make_gait(GaitTable(plugin="sine", joints={"tail": {"amplitude_deg": "a", "frequency_hz": 1.4}}))
 

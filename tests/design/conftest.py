@@ -1,6 +1,6 @@
 import pytest
 
-from labrun.spec import loads_experiment
+from labrun.experiment import loads_experiment
 
 MODEL = """
 name   = "paddle"

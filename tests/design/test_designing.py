@@ -14,11 +14,11 @@ from labrun.app.report import read_findings, write_report
 from labrun.design.constraints import Margin
 from labrun.design.handing_on import written_experiment
 from labrun.errors import PlanError, RequestError, SpecError
+from labrun.experiment import load_experiment, shipped_experiments
 from labrun.models import load_model
 from labrun.report import print_findings
 from labrun.runner import SilentProgress
 from labrun.search import read_generations
-from labrun.spec import load_experiment, shipped_experiments
 from labrun.store import open_run
 
 

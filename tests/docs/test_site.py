@@ -13,7 +13,7 @@ import pytest
 from pydantic import BaseModel
 
 import labrun
-from labrun.spec import Experiment, key_reference
+from labrun.experiment import Experiment, key_reference
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -10,8 +10,8 @@ from typing import Any
 
 from forked_labrun import forked_emulators
 
+from labrun.experiment import Experiment
 from labrun.runner import EmulatedBench, RealClock, Rig, Session, SilentProgress
-from labrun.spec import Experiment
 from labrun.store import RunFolder
 
 CLOCK = RealClock()

@@ -3,7 +3,7 @@
 import pytest
 
 import labrun
-from labrun.spec import load_experiment, shipped_experiments
+from labrun.experiment import load_experiment, shipped_experiments
 
 
 @pytest.mark.slow

@@ -7,9 +7,9 @@ import pytest
 
 from labrun.app.run import run as execute
 from labrun.blind import named_model
+from labrun.experiment import load_named
 from labrun.fit.dataset import load_dataset
 from labrun.fit.output_error import fit_model
-from labrun.spec import load_named
 
 SMALLER = {
     "hinge": ("run.conditions=[{release=20},{release=45}]", "trial.repeats=4"),

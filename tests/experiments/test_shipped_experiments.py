@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from labrun_plugins.rigs.hinge.dimensions import damping, stiffness
 
 from labrun.devices import Limits
+from labrun.experiment import find_model_file, load_experiment, loads_experiment, shipped_experiments
 from labrun.gaits import make_gait
 from labrun.search import conditions
-from labrun.spec import find_model_file, load_experiment, loads_experiment, shipped_experiments
 from labrun.toml import split_unit
 
 IN_THE_FIELD = {"field-turn": "turn-torque", "field-forward": "tail-sweep", "field-swim": "forward-pectoral"}

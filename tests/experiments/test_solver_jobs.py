@@ -6,7 +6,7 @@ import tomllib
 import pytest
 
 import labrun
-from labrun.spec import shipped_experiments
+from labrun.experiment import shipped_experiments
 
 PLATE = """
 import math, sys

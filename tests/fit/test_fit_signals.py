@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from labrun.app.run import run as execute
 from labrun.errors import FitError, RequestError
+from labrun.experiment import load_named
 from labrun.fit.signals import SignalTable, load_signals, trailing_mean
-from labrun.spec import load_named
 from labrun.store import open_run
 
 

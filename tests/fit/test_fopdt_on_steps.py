@@ -9,8 +9,8 @@ import pytest
 
 from labrun.app.question import fit_plan
 from labrun.app.run import run as execute
+from labrun.experiment import load_named
 from labrun.fit.method import FitJob, make_method
-from labrun.spec import load_named
 
 PUBLISHED = {
     "magnitude_gain": 0.00912,  # N/deg

@@ -6,6 +6,7 @@ import pytest
 from labrun.app.fit import fit
 from labrun.app.run import run as execute
 from labrun.errors import RequestError
+from labrun.experiment import load_named
 from labrun.fit.regression.method import (
     BASKETS,
     collinear,
@@ -14,7 +15,6 @@ from labrun.fit.regression.method import (
     solve,
     term_values,
 )
-from labrun.spec import load_named
 
 STEP_S = 0.05
 

@@ -19,6 +19,7 @@ from labrun.control.pid import FeedforwardPid, PidController
 from labrun.control.protocol import LoopContext, Step
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
+from labrun.experiment import load_named
 from labrun.fit.result import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.method import TransferSummary
@@ -30,7 +31,6 @@ from labrun.fit.tuning.response import run_loop
 from labrun.fit.tuning.settings import PidFitSettings
 from labrun.fit.tuning.simc import Reduced, reduce_order, rules, simc
 from labrun.fit.tuning.summary import shown_designs
-from labrun.spec import load_named
 
 CYCLE_S = 1 / 1.4
 GAIN = 0.00912

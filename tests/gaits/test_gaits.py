@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labrun.errors import PluginError, SpecError
+from labrun.experiment import GaitTable
 from labrun.gaits import make_gait
 from labrun.gaits.formula import FormulaGait
 from labrun.gaits.release import HoldGait, ReleaseGait
 from labrun.gaits.sine import SineGait, common_period_s
 from labrun.gaits.there_and_back import RampGait, StaircaseGait
-from labrun.spec import GaitTable
 
 FIN = {"tail": {"offset_deg": "b", "amplitude_deg": "a", "frequency_hz": "f", "phase_deg": "phi"}}
 

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labrun.errors import SpecError
+from labrun.experiment import GaitTable
 from labrun.gaits import make_gait, steering_of
-from labrun.spec import GaitTable
 
 GAITS = {
     "sine": GaitTable(

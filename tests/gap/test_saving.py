@@ -8,11 +8,11 @@ from diagnosing import diagnose
 from labrun.app.diagnose import StoredDiagnosis, save, store
 from labrun.app.run import run as execute
 from labrun.errors import RequestError, StoreError
+from labrun.experiment import load_named
 from labrun.gap.diagnose import Options
 from labrun.gap.diagnosis import ResampledNumber
 from labrun.gap.saving import require_new, save_model
 from labrun.models import load_model
-from labrun.spec import load_named
 
 from .benches import among
 

@@ -11,7 +11,7 @@ from forked_labrun import run_labrun
 from labrun.app.open import OpenRun
 from labrun.app.open import open as open_run
 from labrun.devices import Limits
-from labrun.spec import load_experiment, shipped_experiments
+from labrun.experiment import load_experiment, shipped_experiments
 
 STEP_S = 0.02
 FEW = (

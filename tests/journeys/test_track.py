@@ -21,7 +21,7 @@ ALL_P = ("P-100", "P-109", "P-120")
 def errors(request, tmp_path_factory):
     """Return every accepted value of each objective by controller, of one whole dry run."""
     from labrun.app.run import run as execute
-    from labrun.spec import load_experiment, shipped_experiments
+    from labrun.experiment import load_experiment, shipped_experiments
 
     loaded = load_experiment(shipped_experiments() / "force-control.toml")
     results = tmp_path_factory.mktemp("results")

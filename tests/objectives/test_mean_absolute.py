@@ -5,9 +5,9 @@ import pytest
 
 from labrun.devices import Trajectory
 from labrun.errors import ExperimentError, SpecError
+from labrun.experiment import ObjectiveTable
 from labrun.objectives import TrialSignals, make_objective
 from labrun.signals import Signal
-from labrun.spec import ObjectiveTable
 
 TIME_S = np.linspace(0.0, 200.0, 4001)
 TRIANGLE = np.where(TIME_S < 100, 0.5, -0.1)

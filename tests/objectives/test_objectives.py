@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from labrun.devices import Trajectory
 from labrun.errors import ExperimentError, SpecError
+from labrun.experiment import ObjectiveTable
 from labrun.objectives import Signal, TrialSignals, make_objective
 from labrun.objectives.channel import Amplitude, CycleMean, Direction, Mean, Peak, Rms
-from labrun.spec import ObjectiveTable
 
 
 def trial(time_s, *, period_s=None, discard_cycles=0, end_s=None, unit="N m", **values):

@@ -6,10 +6,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from labrun.errors import ExperimentError
+from labrun.experiment import CyclesOf, ObjectiveTable
 from labrun.objectives import TrialSignals, make_objective
 from labrun.objectives.window import RESIDUAL, averaging_window, left_over, truncation_bound
 from labrun.signals import Signal
-from labrun.spec import CyclesOf, ObjectiveTable
 
 RATE_HZ = 125.0
 HZ = st.floats(0.4, 1.5)

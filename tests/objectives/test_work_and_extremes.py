@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from labrun.devices import Trajectory
 from labrun.errors import ExperimentError, SpecError
+from labrun.experiment import ObjectiveTable
 from labrun.objectives import Signal, TrialSignals, make_objective
 from labrun.objectives.extremes import Extremes, ShareOfTime, smoothed
 from labrun.objectives.work import Work, split_work
-from labrun.spec import ObjectiveTable
 
 PERIOD_S = 0.5
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from labrun.experiment import Experiment
 from labrun.report.findings import Findings
 from labrun.search import Best, sweep_conditions, t_interval
 from labrun.signals import Signals
-from labrun.spec import Experiment
 from labrun.store import SettleSummary, TrialOutcome
 
 

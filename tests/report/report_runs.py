@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from labrun.app.run import run as execute
+from labrun.experiment import load_named
 from labrun.runner import SilentProgress
-from labrun.spec import load_named
 
 SMALL = ("sweep.axes.b=[0]", "sweep.axes.a=[20, 60]", "sweep.axes.f=[0.7, 1.4]", "trial.reference.every=5")
 SHORT_CONTROL = (

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from labrun.cli.app import app
-from labrun.spec import find_experiment, load_experiment
+from labrun.experiment import find_experiment, load_experiment
 from labrun.store import RunFolder, TrialOutcome
 
 SLOPE_PER_S = 0.1 / 3600

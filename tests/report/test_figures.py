@@ -100,7 +100,7 @@ def generation(number, restart=0):
 
 
 def search_view():
-    from labrun.spec import CmaEs
+    from labrun.experiment import CmaEs
 
     view = sweep_view(ridge, {"f": GRID, "a": GRID})
     table = CmaEs.model_validate({"variables": {"a": {"from": 0, "to": 10}, "f": {"from": 0, "to": 10}}})

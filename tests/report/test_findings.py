@@ -11,12 +11,12 @@ from rich.console import Console
 
 from labrun.app.report import read_findings
 from labrun.errors import SpecError
+from labrun.experiment import loads_experiment
 from labrun.report.data import RunView
 from labrun.report.live import LiveProgress
 from labrun.report.statistics import drift, repeatability
 from labrun.report.terminal import print_findings
 from labrun.report.timing import stream_health
-from labrun.spec import loads_experiment
 from labrun.store import RunFolder, TrialOutcome, open_run
 
 

@@ -4,8 +4,8 @@ import copy
 import tomllib
 from pathlib import Path
 
+from labrun.experiment import Experiment
 from labrun.runner import Rig, Session, SimulatedClock
-from labrun.spec import Experiment
 
 EXPERIMENT = """
 title = "Paddle"

@@ -5,9 +5,9 @@ import pytest
 from labrun.app.resume import resume
 from labrun.app.run import run as execute
 from labrun.errors import ExperimentError, LabrunError, RequestError, SpecError
+from labrun.experiment import load_experiment
 from labrun.objectives import Asked
 from labrun.runner.asking import Asking
-from labrun.spec import load_experiment
 from labrun.store import Journal, open_run
 
 SECONDS = {"question": "Seconds per turn", "least": 1, "most": 99, "value": "360 / answer", "unit": "deg/s"}

@@ -5,9 +5,9 @@ import pytest
 from paddle_lab import experiment_with
 
 from labrun.errors import PlanError
+from labrun.experiment import CyclesOf
 from labrun.runner import MotionMaker
 from labrun.search import t_interval
-from labrun.spec import CyclesOf
 
 
 def averaged(average, **changes):

@@ -5,10 +5,10 @@ import pytest
 from paddle_lab import experiment_with
 
 from labrun.errors import PlanError, SpecError
+from labrun.experiment import CarriageMove, ObjectiveTable
 from labrun.objectives import TrialSignals, make_objective
 from labrun.runner import MotionMaker, Planner
 from labrun.signals import Signal
-from labrun.spec import CarriageMove, ObjectiveTable
 
 MOVE = {"device": "arm", "to_m": 0.65, "speed_m_s": "v", "acceleration_m_s2": 0.5, "margin_s": 0.1}
 

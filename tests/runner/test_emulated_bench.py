@@ -142,7 +142,7 @@ def test_emulators_outlive_a_killed_runner_for_the_watchdog_and_then_end_by_them
     script.write_text(
         "import sys, time\n"
         "from labrun.runner import EmulatedBench\n"
-        "from labrun.spec.experiment import PluginTable\n"
+        "from labrun.experiment.experiment import PluginTable\n"
         "wrench = PluginTable.model_validate({'plugin': 'robotiq-ft300', 'port': '/dev/ttyUSB0'})\n"
         "bench = EmulatedBench({'wrench': wrench}, PluginTable(plugin='caudal-tank'), seed=1)\n"
         "bench.open()\n"

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from labrun.devices import Limits
 from labrun.errors import SpecError
+from labrun.experiment import GaitTable, Track
 from labrun.gaits import make_gait, steering_of
 from labrun.runner.motion import envelope
-from labrun.spec import GaitTable, Track
 
 
 def worst(joints, *, plugin="sine", let=None, rate_hz=20.0, duration_s=5.0, condition=None, **loops):

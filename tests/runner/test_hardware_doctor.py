@@ -5,6 +5,7 @@ import pytest
 from forked_labrun import forked_emulators
 
 from labrun.devices import DeviceContext, DeviceError, Identity
+from labrun.experiment import Experiment
 from labrun.runner import (
     EmulatedBench,
     RealClock,
@@ -14,7 +15,6 @@ from labrun.runner import (
     find_devices,
     resolve_device,
 )
-from labrun.spec import Experiment
 
 EXPERIMENT = Experiment.model_validate(
     {

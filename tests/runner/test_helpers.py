@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from labrun.experiment import Outliers, RepeatRule
 from labrun.runner import RealClock, SimulatedClock
 from labrun.runner.measurement import Measurement, block_order, find_outliers, modified_z, needs_another
-from labrun.spec import Outliers, RepeatRule
 from labrun.store import TrialOutcome
 
 

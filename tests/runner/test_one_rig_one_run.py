@@ -13,8 +13,8 @@ from labrun.app.run import connected
 from labrun.app.run import run as execute
 from labrun.devices import DeviceSettings, Port
 from labrun.errors import PluginError, RigBusyError
+from labrun.experiment import loads_experiment
 from labrun.runner import RealClock, Rig, ports_of
-from labrun.spec import loads_experiment
 from labrun.store import disk as rig_lock
 from labrun.store import lock_ports
 

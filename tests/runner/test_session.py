@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from labrun.errors import ExperimentError, SpecError
+from labrun.experiment import RepeatRule
 from labrun.runner import LimitReached
-from labrun.spec import RepeatRule
 from labrun.store import open_run
 
 CONDITIONS = [{"a": 10, "f": 1.0}, {"a": 20, "f": 1.0}, {"a": 30, "f": 2.0}]

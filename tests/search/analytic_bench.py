@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from labrun.experiment import Experiment, RepeatRule
 from labrun.runner import Measurement
-from labrun.spec import Experiment, RepeatRule
 from labrun.store import TrialOutcome
 
 RIG = {"devices": {"tail": {"plugin": "arduino-servo"}}}

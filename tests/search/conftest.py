@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from labrun.app.run import run as execute
+from labrun.experiment import load_experiment
 from labrun.runner import SilentProgress
-from labrun.spec import load_experiment
 
 TANK = """
 title = "Thrust of a tail"

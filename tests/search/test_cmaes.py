@@ -5,9 +5,9 @@ from analytic_bench import AnalyticBench, InterruptedBenchError, box, search_exp
 
 from labrun.devices import Excess
 from labrun.errors import PlanError, StoreError
+from labrun.experiment import RepeatRule
 from labrun.runner import SilentProgress
 from labrun.search import Constraint, Feasibility, read_generations, search_by_cmaes
-from labrun.spec import RepeatRule
 
 
 def no_excess(condition):

@@ -9,10 +9,10 @@ import labrun
 from labrun.app.report import opened
 from labrun.app.resume import resume
 from labrun.app.run import run as execute
+from labrun.experiment import load_experiment
 from labrun.report.terminal import print_findings
 from labrun.search import Best, stored_result
 from labrun.search.result import winner_lines
-from labrun.spec import load_experiment
 from labrun.store import open_run
 
 EACH = '[cmaes.each]\nfin = ["large", "small"]\n[cmaes.variables]'

@@ -11,10 +11,10 @@ from labrun.app.check import check, require_room
 from labrun.app.resume import resume
 from labrun.app.run import run as execute
 from labrun.errors import LabrunError, PlanError, RequestError, SpecError
+from labrun.experiment import load_experiment
 from labrun.report.terminal import plan_text
 from labrun.runner import Interrupted, Rig, SilentProgress
 from labrun.search import Best, RunResult
-from labrun.spec import load_experiment
 from labrun.store import RunFolder, find_data
 
 

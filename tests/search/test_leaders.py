@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from analytic_bench import AnalyticBench
 
+from labrun.experiment import Leaders
 from labrun.runner import Measurement
 from labrun.search import honest_best, leading_conditions
-from labrun.spec import Leaders
 from labrun.store import TrialOutcome
 
 

@@ -7,8 +7,8 @@ from analytic_bench import AnalyticBench
 from labrun.app.check import check
 from labrun.app.report import confirmed_best, read_findings
 from labrun.errors import SpecError
+from labrun.experiment import Leaders, RepeatRule, load_experiment
 from labrun.search import OverSettings, at_settings, honest_best, settings_of, stored_result
-from labrun.spec import Leaders, RepeatRule, load_experiment
 from labrun.store import open_run
 
 OVER = """

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labrun.errors import PlanError, SpecError
+from labrun.experiment import Range, Sweep
 from labrun.search import Constraint, sweep_conditions
 from labrun.search.planned import axis_values
-from labrun.spec import Range, Sweep
 
 
 def grid(axes, **keys):

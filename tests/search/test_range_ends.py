@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labrun.devices import Excess
+from labrun.experiment import Experiment
 from labrun.search import Best, RunResult, range_end_notes
-from labrun.spec import Experiment
 
 WIDER = "a wider range may hold a better one"
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labrun.errors import RecordingError
-from labrun.spec import condition_text
+from labrun.experiment import condition_text
 from labrun.store.recording import read_recording
 
 TOML = """\

@@ -20,6 +20,7 @@ from pydantic import (
 from labrun import registry
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, PluginError, RequestError
+from labrun.experiment import loads_experiment
 from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.fit.signals import SignalTable, joined, load_signals
@@ -35,7 +36,6 @@ from labrun.learned import (
     load_inverse,
     train,
 )
-from labrun.spec import loads_experiment
 from labrun.store import open_run
 from labrun.toml import UNITS, Keys
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.experiment import condition_key, condition_text
 from labrun.fit import Dataset, FitTrial
 from labrun.gap.next.trials import PlannedTrial, by_hand, evenly, require_free, write_plan
 from labrun.models import Model
-from labrun.spec import condition_key, condition_text
 from labrun.store import saving
 
 _FACTORS = (0.25, 0.5, -1.0)

@@ -10,11 +10,18 @@ import numpy as np
 import tomli_w
 
 from labrun.errors import LabrunError, RequestError
+from labrun.experiment import (
+    Condition,
+    Experiment,
+    condition_text,
+    load_experiment,
+    loads_experiment,
+    resolved,
+)
 from labrun.fit import Dataset
 from labrun.gap.next.trials import PlannedTrial, beyond, by_hand, evenly, reach, rounded, write_plan
 from labrun.models import Model
 from labrun.runner import MotionMaker, Plan, Planner
-from labrun.spec import Condition, Experiment, condition_text, load_experiment, loads_experiment, resolved
 from labrun.store import COMMAND, Run
 from labrun.toml import evaluate, names_in
 

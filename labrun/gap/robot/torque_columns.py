@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray, IntArray
+from labrun.experiment import condition_key
 from labrun.fit import Dataset
 from labrun.gap import criteria
 from labrun.gap.evidence import correlation_samples
@@ -29,7 +30,6 @@ from labrun.gap.robot.inverse_dynamics import (
 )
 from labrun.gap.robot.linear_evidence import Gram, LinearEvidence
 from labrun.models import InertialRegressor, Robot, RobotTerms
-from labrun.spec import condition_key
 
 NUISANCE = ("link", "timing", "armature", "damping", "spring")
 """Kinds of columns that every model has: what is stated, within its tolerance."""

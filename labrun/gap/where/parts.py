@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
+from labrun.experiment import Condition, condition_text, only, value_text, varying
 from labrun.gap.diagnosis import By
 from labrun.gap.where.difference import ConditionData, Difference, Mover
-from labrun.spec import Condition, condition_text, only, value_text, varying
 from labrun.toml import UNITS, split_unit
 
 _FEW_SAMPLES = 8

@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labrun.arrays import FloatArray
+from labrun.experiment import condition_key
 from labrun.gap import ComparedTrace, Diagnosis, MissingForce
 from labrun.report.figures.gap import AFTER, RECALIBRATED, STATED
 from labrun.report.statistics import root_mean_square, scaled_to_largest
 from labrun.report.style import COLOURS, FAINT, INK, new_figure, zero_line
 from labrun.report.text import listed, spaced, with_unit
-from labrun.spec import condition_key
 
 _MOST_UNITS = 4
 _MOST_OUTPUTS = 3

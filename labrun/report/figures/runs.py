@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labrun.arrays import FloatArray
+from labrun.experiment import Condition, condition_key, condition_text, varying
 from labrun.report.conditions import in_order
 from labrun.report.data import Point, RunView
 from labrun.report.style import COLOURS, FAINT, SOFT, annotate_point, heading, new_figure, zero_line
 from labrun.report.text import label, value_text, with_unit
 from labrun.search import NUMBER
-from labrun.spec import Condition, condition_key, condition_text, varying
 from labrun.store import TrialOutcome
 
 _TITLE_WIDTH = 40

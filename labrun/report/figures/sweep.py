@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from labrun.arrays import FloatArray
+from labrun.experiment import Value
 from labrun.report.data import Point, RunView
 from labrun.report.figures.runs import cycles_of, draw_cycle, draw_traces
 from labrun.report.style import BEST, COLOURS, DIVERGING, SEQUENTIAL, SOFT, heading, new_figure, zero_line
 from labrun.report.text import label, unit_text, value_text
-from labrun.spec import Value
 
 _MOST_GRID_VALUES = 60
 _MOST_TICKS = 5

@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labrun.arrays import FloatArray
+from labrun.experiment import LOOP_DEVICE, loop_channel
 from labrun.report.data import RunView
 from labrun.report.figures.runs import PANEL_TITLE, condition_title, groups_of, objective_panel
 from labrun.report.style import COLOURS, INK, heading, new_figure
 from labrun.signals import Signals
-from labrun.spec import LOOP_DEVICE, loop_channel
 from labrun.store import TrialOutcome
 
 _MOST_CONDITIONS = 8

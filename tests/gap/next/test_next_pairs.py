@@ -7,9 +7,9 @@ from diagnosing import diagnose
 
 from labrun.app.next import propose_next as propose
 from labrun.app.run import run as execute
+from labrun.experiment import load_experiment, load_named
 from labrun.gap.diagnose import Options
 from labrun.runner import Planner
-from labrun.spec import load_experiment, load_named
 
 SEED = 1
 

@@ -5,10 +5,10 @@ import pytest
 
 from labrun.app.run import run as execute
 from labrun.blind import named_model
+from labrun.experiment import load_named
 from labrun.fit.dataset import load_dataset
 from labrun.gap.next.run_bench import RunBench
 from labrun.runner import Planner
-from labrun.spec import load_named
 from labrun.store import open_run
 
 

@@ -6,10 +6,10 @@ from diagnosing import diagnose
 from labrun.app.next import propose_next as propose
 from labrun.app.run import run as execute
 from labrun.errors import StoreError
+from labrun.experiment import load_experiment, load_named
 from labrun.gap.diagnose import Options
 from labrun.gap.next.trials import beyond, by_hand, rounded
 from labrun.runner import Planner
-from labrun.spec import load_experiment, load_named
 
 HIDDEN = ["quadratic-drag@hinge"]
 SEED = 1

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from labrun.app.fit import fit
 from labrun.cli.app import app
+from labrun.experiment import load_experiment, shipped_experiments
 from labrun.models import load_model, simulate
-from labrun.spec import load_experiment, shipped_experiments
 from labrun.store import open_run
 
 

@@ -7,8 +7,8 @@ from simulated_bench import line, sine
 from labrun import registry
 from labrun.effects import effects
 from labrun.errors import SpecError
+from labrun.experiment import load_experiment, shipped_experiments
 from labrun.runner import Rig, SimulatedClock
-from labrun.spec import load_experiment, shipped_experiments
 
 
 def _scene(experiment, *overrides):

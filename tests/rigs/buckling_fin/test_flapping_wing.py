@@ -12,8 +12,8 @@ from labrun.app.question import ask
 from labrun.app.run import run
 from labrun.devices import Trajectory
 from labrun.errors import SpecError
+from labrun.experiment import shipped_experiments
 from labrun.models import load_model, simulate
-from labrun.spec import shipped_experiments
 
 TIME_S = np.arange(0.0, 10.0, 0.01)
 

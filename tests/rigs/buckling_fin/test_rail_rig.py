@@ -12,8 +12,8 @@ from labrun.app.question import ask
 from labrun.app.run import run
 from labrun.devices import Trajectory
 from labrun.effects import Scale, load_effect
+from labrun.experiment import load_experiment, shipped_experiments
 from labrun.models import simulate
-from labrun.spec import load_experiment, shipped_experiments
 from labrun.store import open_run
 
 DESIGN = {

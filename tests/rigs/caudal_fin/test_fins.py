@@ -7,8 +7,8 @@ from labrun_plugins.rigs.caudal_fin.scene import CaudalTank
 from simulated_bench import sine
 
 from labrun.errors import SpecError
+from labrun.experiment import shipped_experiments
 from labrun.models import load_model, simulate
-from labrun.spec import shipped_experiments
 from labrun.store import read_recording
 
 TABLE = read_recording(shipped_experiments() / "recordings" / "table-5-2").trials

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 
 from labrun.devices import Trajectory
 from labrun.errors import ExperimentError
-from labrun.spec import shipped_experiments
+from labrun.experiment import shipped_experiments
 from labrun.store import read_recording
 
 TABLE = read_recording(shipped_experiments() / "recordings" / "table-5-2").trials

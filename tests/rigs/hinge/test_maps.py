@@ -15,8 +15,8 @@ from swings import swing
 from labrun.app.fit import fit
 from labrun.app.run import run as execute
 from labrun.errors import FitError, RequestError
+from labrun.experiment import load_named, shipped_experiments
 from labrun.models import load_model
-from labrun.spec import load_named, shipped_experiments
 
 PLATE = shipped_experiments() / "models" / "hinge-specimens.toml"
 WIDTHS = np.array([20.0, 30.0, 40.0, 50.0, 60.0]) * 1e-3

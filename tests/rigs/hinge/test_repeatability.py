@@ -6,7 +6,7 @@ from labrun_plugins.rigs.hinge.scene import HingeBench
 
 import labrun
 from labrun.devices import Trajectory
-from labrun.spec import shipped_experiments
+from labrun.experiment import shipped_experiments
 from labrun.store import read_recording
 
 SPECIMEN = {

@@ -6,7 +6,7 @@ import pytest
 from labrun import registry
 from labrun.devices import Trajectory
 from labrun.errors import SpecError
-from labrun.spec import load_experiment, new_experiment
+from labrun.experiment import load_experiment, new_experiment
 
 ARM = """
 <mujoco model="arm"><worldbody><body name="upper"><joint name="joint_1" axis="0 1 0" damping="2"/>

@@ -11,8 +11,8 @@ from labrun_plugins.rigs.six_bar.scene import SixBar
 import labrun
 from labrun.devices import HingeAngle, OrientationAngles, Trajectory
 from labrun.errors import FitError, SpecError
+from labrun.experiment import shipped_experiments
 from labrun.fit import FitTrial
-from labrun.spec import shipped_experiments
 
 JOINTS = tuple(f"theta_{number}" for number in range(1, 7))
 BODIES = tuple(f"body_{number}" for number in range(1, 7))

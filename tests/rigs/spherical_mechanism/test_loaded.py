@@ -8,9 +8,9 @@ from labrun_plugins.rigs.spherical_mechanism.spiral import Spiral, servo_angles_
 from scipy.spatial.transform import Rotation
 
 from labrun.devices import Trajectory
+from labrun.experiment import ObjectiveTable
 from labrun.objectives import TrialSignals, make_objective
 from labrun.signals import Signal
-from labrun.spec import ObjectiveTable
 
 PLAIN = {"play_deg": 0.0, "offset_deg": (0.0, 0.0)}
 

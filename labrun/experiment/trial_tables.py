@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
-from labrun.spec.condition import Bounds, Number, Value
-from labrun.spec.raw import check_name, table
+from labrun.experiment.condition import Bounds, Number, Value
+from labrun.experiment.raw import check_name, table
 from labrun.toml import Expression, ExpressionError, Fault, KeyPath, Table, TableFaults, fault_of
 
 CYCLES = "cycles"

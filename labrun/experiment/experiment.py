@@ -5,12 +5,12 @@ from typing import Any, Literal, get_args
 
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
 
-from labrun.spec.condition import Value
-from labrun.spec.loop_tables import Track
-from labrun.spec.raw import condition_units
-from labrun.spec.search_tables import CmaEs, Combine, Design, Leaders, RunTable, Sweep
-from labrun.spec.specimens import ByHand, DamageTable
-from labrun.spec.trial_tables import CYCLES, TrialTable
+from labrun.experiment.condition import Value
+from labrun.experiment.loop_tables import Track
+from labrun.experiment.raw import condition_units
+from labrun.experiment.search_tables import CmaEs, Combine, Design, Leaders, RunTable, Sweep
+from labrun.experiment.specimens import ByHand, DamageTable
+from labrun.experiment.trial_tables import CYCLES, TrialTable
 from labrun.toml import Expression, PluginTable, Table, TableFaults
 
 ROBOT_FILES = (".xml", ".mjcf", ".urdf")

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from labrun.errors import SpecError
-from labrun.spec import load_experiment, loads_experiment
+from labrun.experiment import load_experiment, loads_experiment
 from labrun.toml import LocatedFault
 
 GOOD = """\

@@ -10,8 +10,8 @@ from typing import Any
 
 from labrun import registry
 from labrun.errors import SpecError
-from labrun.spec.plugins import check_plugins, check_settings, examine, load_plugin
-from labrun.spec.raw import (
+from labrun.experiment.plugins import check_plugins, check_settings, examine, load_plugin
+from labrun.experiment.raw import (
     GAIT_EXPRESSIONS,
     DeviceInfo,
     check_channel,
@@ -24,11 +24,11 @@ from labrun.spec.raw import (
     table,
     tables,
 )
-from labrun.spec.search_tables import check_design, is_summary
-from labrun.spec.specimens import check_by_hand, check_damage
-from labrun.spec.track_checks import check_track
-from labrun.spec.trial_tables import check_until
-from labrun.spec.workspace import find_model_file, shipped_experiments
+from labrun.experiment.search_tables import check_design, is_summary
+from labrun.experiment.specimens import check_by_hand, check_damage
+from labrun.experiment.track_checks import check_track
+from labrun.experiment.trial_tables import check_until
+from labrun.experiment.workspace import find_model_file, shipped_experiments
 from labrun.toml import (
     CONSTANTS,
     FUNCTIONS,

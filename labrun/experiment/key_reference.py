@@ -21,7 +21,7 @@ from pydantic_core import PydanticUndefined
 from labrun import registry
 from labrun.devices import DeviceSettings
 from labrun.errors import PluginError, RequestError
-from labrun.spec.experiment import Experiment
+from labrun.experiment.experiment import Experiment
 from labrun.toml import Expression, PluginTable, suggest
 
 WORDS: dict[str, dict[str, str]] = tomllib.loads(
@@ -127,7 +127,7 @@ def _below(model: type[BaseModel], where: str, parts: list[str]) -> list[Key]:
 def model_of(name: str) -> type[BaseModel]:
     """Return a model by the name of its class in the experiment file, or by ``package.module:Class``."""
     module, _, class_name = name.rpartition(":")
-    model: type[BaseModel] = getattr(importlib.import_module(module or "labrun.spec"), class_name)
+    model: type[BaseModel] = getattr(importlib.import_module(module or "labrun.experiment"), class_name)
     return model
 
 

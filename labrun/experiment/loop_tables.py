@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Discriminator, Field, PositiveFloat, Tag, 
 
 from labrun import registry
 from labrun.errors import PluginError
-from labrun.spec.condition import Number, Value
+from labrun.experiment.condition import Number, Value
 from labrun.toml import PluginTable, Table, TableFaults
 
 LOOP_DEVICE = "loop"

@@ -3,7 +3,7 @@
 import pytest
 
 from labrun.errors import SpecError
-from labrun.spec import apply_overrides
+from labrun.experiment import apply_overrides
 
 
 def test_values_are_toml_and_bare_words_are_text():

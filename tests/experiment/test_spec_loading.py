@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labrun.errors import RequestError, SpecError
+from labrun.experiment import load_experiment, loads_experiment
 from labrun.gaits import make_gait
-from labrun.spec import load_experiment, loads_experiment
 from labrun.toml import suggest
 
 

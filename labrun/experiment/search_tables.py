@@ -16,8 +16,8 @@ from pydantic import (
     model_validator,
 )
 
-from labrun.spec.condition import Bounds, Number, Value
-from labrun.spec.raw import asks_for_leaders, check_name, table, tables
+from labrun.experiment.condition import Bounds, Number, Value
+from labrun.experiment.raw import asks_for_leaders, check_name, table, tables
 from labrun.toml import Expression, ExpressionError, Fault, KeyPath, Table, TableFaults
 
 

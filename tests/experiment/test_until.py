@@ -3,7 +3,7 @@
 import pytest
 
 from labrun.errors import SpecError
-from labrun.spec import Criterion, loads_experiment
+from labrun.experiment import Criterion, loads_experiment
 from labrun.toml import ExpressionError
 
 FILE = """

@@ -3,7 +3,7 @@
 import pytest
 
 from labrun.errors import RequestError
-from labrun.spec import (
+from labrun.experiment import (
     create_workspace,
     find_experiment,
     find_model_file,

@@ -6,7 +6,7 @@ import pytest
 
 from labrun.app.run import run
 from labrun.errors import RequestError
-from labrun.spec import load_experiment, new_experiment
+from labrun.experiment import load_experiment, new_experiment
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,15 @@
 """The experiment file: its tables, its reader, and its checks."""
 
-from labrun.spec.condition import Condition, Value, condition_key, condition_text, only, value_text, varying
-from labrun.spec.experiment import (
+from labrun.experiment.condition import (
+    Condition,
+    Value,
+    condition_key,
+    condition_text,
+    only,
+    value_text,
+    varying,
+)
+from labrun.experiment.experiment import (
     Experiment,
     FitTable,
     GaitTable,
@@ -10,8 +18,8 @@ from labrun.spec.experiment import (
     RigTable,
     SceneTable,
 )
-from labrun.spec.key_reference import Key, keys_at
-from labrun.spec.loading import (
+from labrun.experiment.key_reference import Key, keys_at
+from labrun.experiment.loading import (
     LoadedExperiment,
     apply_overrides,
     find_beside,
@@ -20,10 +28,17 @@ from labrun.spec.loading import (
     loads_experiment,
     resolved,
 )
-from labrun.spec.loop_tables import LOOP_DEVICE, TIMING_CHANNELS, LoopShape, LoopTable, Track, loop_channel
-from labrun.spec.plugins import resolved_settings, scene_of
-from labrun.spec.raw import named_channels
-from labrun.spec.search_tables import (
+from labrun.experiment.loop_tables import (
+    LOOP_DEVICE,
+    TIMING_CHANNELS,
+    LoopShape,
+    LoopTable,
+    Track,
+    loop_channel,
+)
+from labrun.experiment.plugins import resolved_settings, scene_of
+from labrun.experiment.raw import named_channels
+from labrun.experiment.search_tables import (
     BRACES,
     SIMULATION,
     SUMMARIES,
@@ -44,9 +59,9 @@ from labrun.spec.search_tables import (
     Sweep,
     WrittenExperiment,
 )
-from labrun.spec.specimens import BROKEN, PAST, ByHand, DamageTable
-from labrun.spec.template import new_experiment
-from labrun.spec.trial_tables import (
+from labrun.experiment.specimens import BROKEN, PAST, ByHand, DamageTable
+from labrun.experiment.template import new_experiment
+from labrun.experiment.trial_tables import (
     CYCLES,
     Averaging,
     CarriageMove,
@@ -61,7 +76,7 @@ from labrun.spec.trial_tables import (
     TrialTable,
     Until,
 )
-from labrun.spec.workspace import (
+from labrun.experiment.workspace import (
     create_workspace,
     find_experiment,
     find_model_file,

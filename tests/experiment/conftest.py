@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from labrun.errors import SpecError
-from labrun.spec import LoadedExperiment, load_experiment
+from labrun.experiment import LoadedExperiment, load_experiment
 from labrun.toml import LocatedFault
 
 GOOD = """\

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, PositiveInt, model_validator
 
-from labrun.spec.condition import Condition, value_text
-from labrun.spec.raw import check_expression, listed_conditions, table
+from labrun.experiment.condition import Condition, value_text
+from labrun.experiment.raw import check_expression, listed_conditions, table
 from labrun.toml import Expression, ExpressionError, Fault, KeyPath, Table, TableFaults, suggest
 
 _PLACE = re.compile(r"\{([^{}]*)\}")

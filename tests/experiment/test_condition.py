@@ -2,8 +2,8 @@
 
 import pytest
 
-from labrun.spec import condition_key, condition_text, value_text, varying
-from labrun.spec.raw import condition_units
+from labrun.experiment import condition_key, condition_text, value_text, varying
+from labrun.experiment.raw import condition_units
 
 
 def test_equal_conditions_have_equal_keys_whatever_their_order() -> None:

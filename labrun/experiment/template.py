@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 from labrun import registry
 from labrun.errors import RequestError
-from labrun.spec.loading import loads_experiment
-from labrun.spec.plugins import examine
-from labrun.spec.raw import DeviceInfo
+from labrun.experiment.loading import loads_experiment
+from labrun.experiment.plugins import examine
+from labrun.experiment.raw import DeviceInfo
 from labrun.toml import suggest
 
 Kind = Literal["run", "sweep", "cmaes", "track"]

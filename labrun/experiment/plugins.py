@@ -11,10 +11,10 @@ from pydantic import BaseModel
 from labrun import registry
 from labrun.devices import DeviceContext, Limits
 from labrun.errors import PluginError
-from labrun.spec.experiment import ROBOT_FILES, STILL, GaitTable, ObjectiveTable, RigTable, SceneTable
-from labrun.spec.loop_tables import LOOP_DEVICE, TIMING_CHANNELS, shape_of
-from labrun.spec.raw import DeviceInfo, check_channel, drives_of, one_or_several, table, tables
-from labrun.spec.search_tables import SIMULATION
+from labrun.experiment.experiment import ROBOT_FILES, STILL, GaitTable, ObjectiveTable, RigTable, SceneTable
+from labrun.experiment.loop_tables import LOOP_DEVICE, TIMING_CHANNELS, shape_of
+from labrun.experiment.raw import DeviceInfo, check_channel, drives_of, one_or_several, table, tables
+from labrun.experiment.search_tables import SIMULATION
 from labrun.toml import Fault, KeyPath, Operand, evaluate, mend, suggest, validate
 
 _DEVICES = "labrun.devices"

@@ -3,7 +3,7 @@
 import pytest
 
 from labrun.errors import RequestError
-from labrun.spec import Experiment, keys_at
+from labrun.experiment import Experiment, keys_at
 
 
 def keys_below(path):

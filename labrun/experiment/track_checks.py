@@ -7,9 +7,9 @@ from pydantic import BaseModel
 
 from labrun import registry
 from labrun.errors import PluginError
-from labrun.spec.loop_tables import LOOP_DEVICE
-from labrun.spec.plugins import is_expression, load_plugin
-from labrun.spec.raw import (
+from labrun.experiment.loop_tables import LOOP_DEVICE
+from labrun.experiment.plugins import is_expression, load_plugin
+from labrun.experiment.raw import (
     GAIT_EXPRESSIONS,
     DeviceInfo,
     check_channel,

@@ -11,11 +11,11 @@ from typing import Any
 
 from labrun import registry
 from labrun.errors import RequestError, SpecError
-from labrun.spec.checks import cross_check
-from labrun.spec.experiment import ROBOT_FILES, ROBOT_SCENE, Experiment, written_out
-from labrun.spec.plugins import load_plugin
-from labrun.spec.raw import GAIT_EXPRESSIONS, condition_names, one_or_several, places, table, tables
-from labrun.spec.workspace import find_experiment, find_model_file, shipped_experiments
+from labrun.experiment.checks import cross_check
+from labrun.experiment.experiment import ROBOT_FILES, ROBOT_SCENE, Experiment, written_out
+from labrun.experiment.plugins import load_plugin
+from labrun.experiment.raw import GAIT_EXPRESSIONS, condition_names, one_or_several, places, table, tables
+from labrun.experiment.workspace import find_experiment, find_model_file, shipped_experiments
 from labrun.toml import (
     ExpressionError,
     Fault,

@@ -4,7 +4,7 @@ import pytest
 
 from labrun.app.check import whole_plan
 from labrun.errors import PlanError, SpecError
-from labrun.spec import ByHand, loads_experiment
+from labrun.experiment import ByHand, loads_experiment
 
 FILE = """
 title = "Specimens"
