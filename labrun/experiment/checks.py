@@ -79,6 +79,11 @@ def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Fault
     for name, device in tables(data, "rig", "devices").items():
         devices[name], device_faults = examine(name, device)
         faults += device_faults
+        if not name or {".", "/"} & set(name):
+            text = (
+                "invalid device name: use letters, digits, '-' and '_'; its channels are named device.channel"
+            )
+            faults.append(Fault(("rig", "devices", name), text))
     conditions = condition_names(data)
     faults += check_plugins(data, devices)
     faults += _check_fit(data, path)

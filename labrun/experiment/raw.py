@@ -171,6 +171,8 @@ def check_channel(channel: object, path: KeyPath, devices: Mapping[str, DeviceIn
     """Yield faults of a channel name, "device.channel"."""
     if not isinstance(channel, str):
         return
+    if any("." in device and channel.startswith(f"{device}.") for device in devices):
+        return  # the name of the device is at fault, and reported
     name, _, signal = channel.partition(".")
     known = [f"{key}.{item}" for key, device in devices.items() for item in device.channels or ()]
     if name not in devices:

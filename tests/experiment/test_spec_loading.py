@@ -41,6 +41,19 @@ def test_a_misspelt_key_is_named_with_line_column_and_the_nearest_key(problems, 
     )
 
 
+@pytest.mark.parametrize("name", ["w.x", "w/x", ""])
+def test_a_device_name_that_its_channels_cannot_carry_is_the_only_problem(problems, name):
+    (problem,) = problems(
+        ("rig.devices.wrench", f'rig.devices."{name}"'),
+        ('channel = "wrench.force_x", timeout', f'channel = "{name}.force_x", timeout'),
+        ('channel = "wrench.force_x"', f'channel = "{name}.force_x"'),
+    )
+    assert problem.line == 12
+    assert problem.message == (
+        "invalid device name: use letters, digits, '-' and '_'; its channels are named device.channel"
+    )
+
+
 @pytest.mark.parametrize(
     ("old", "new", "key", "says"),
     [

@@ -15,6 +15,7 @@ from labrun.devices import Channel, Samples
 from labrun.errors import RecordingError, RigBusyError, StoreError
 from labrun.store import trial_file as writer_module
 from labrun.store.folder import FORMAT, RunFolder
+from labrun.store.locate import find_run
 from labrun.store.reading import open_run
 from labrun.store.trial import TrialOutcome
 
@@ -98,6 +99,27 @@ def test_a_device_without_samples_and_a_trial_without_command_are_stored(tmp_pat
     assert run.signals(0)["wrench"].values.shape == (0, 2)
     assert run.command(0).columns == ()
     assert run.settle_curve(0) is None
+
+
+NAMES_APART = ["w-x", "w_x", "w x", "w\u00fcx", "wu\u0308x", "W-x"]
+
+
+def test_devices_whose_names_differ_in_one_character_are_stored_apart(tmp_path):
+    folder = stored_runs.new_run(tmp_path)
+    writer = folder.writer(0)
+    for count, device in enumerate(NAMES_APART, start=1):
+        samples = Samples(np.arange(float(count)), np.arange(float(count)), np.full((count, 2), float(count)))
+        writer.append(device, stored_runs.WRENCH, 100.0, samples)
+    writer.finish(stored_runs.outcome(0), None, None)
+    signals = open_run(folder.path).signals(0)
+    assert {device: len(signals[device].time_s) for device in signals} == {
+        device: count for count, device in enumerate(NAMES_APART, start=1)
+    }
+
+
+def test_runs_of_experiments_whose_names_differ_in_one_character_are_kept_apart(tmp_path):
+    runs = {name: RunFolder.create(tmp_path, name, stored_runs.SPEC, {}).path for name in NAMES_APART}
+    assert {name: find_run(name, tmp_path) for name in NAMES_APART} == runs
 
 
 def test_blocks_join_and_losses_add_up(tmp_path):
