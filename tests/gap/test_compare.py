@@ -7,18 +7,17 @@ import pytest
 from swings import DAMPING, MODEL, STIFFNESS, dataset_of, swing
 
 from labrun.errors import RequestError
-from labrun.fit import workers
 from labrun.gap import Name, ResampledNumber, UnitComparison, UnitDifference, compare_units
 from labrun.models import load_model, parse_model
 from labrun.report.gap_text import units_text
 from labrun.store import SignalInfo
 
 
-def unit(seed, repeats=1, **physics):
+def unit(seed, repeats=1, duration_s=1.2, **physics):
     rng = np.random.default_rng(seed)
     swings, conditions = [], []
     for release in (0.3, 0.8):
-        time_s, angle = swing(release, duration_s=2.0, rate_hz=120.0, **physics)
+        time_s, angle = swing(release, duration_s=duration_s, rate_hz=120.0, **physics)
         for repeat in range(1, repeats + 1):
             swings.append((time_s, angle + 2e-3 * rng.standard_normal(len(angle))))
             conditions.append(({"release_rad": release}, repeat))
@@ -31,10 +30,7 @@ def unit(seed, repeats=1, **physics):
 
 
 def compared(first, second, model=MODEL, **given):
-    with workers(2) as each:
-        return compare_units(
-            first, second, parse_model(model, "hinge.toml"), np.random.default_rng(0), each=each, **given
-        )
+    return compare_units(first, second, parse_model(model, "hinge.toml"), np.random.default_rng(0), **given)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +72,9 @@ def test_friction_that_one_unit_alone_has_is_named_with_its_unit(plain):
 @pytest.mark.slow
 def test_the_size_of_an_effect_that_the_model_carries_is_compared():
     carried = MODEL + '[[effects]]\neffect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = 1e-3 }\n'
-    first, second = unit(1, extra=friction(1e-3)), unit(2, extra=friction(1.4e-3))
+    first, second = (
+        unit(seed, duration_s=2.0, extra=friction(torque)) for seed, torque in ((1, 1e-3), (2, 1.4e-3))
+    )
     points = compared(first, second, carried)
     (only,) = points.differing
     assert (only.name.effect, only.parameter) == ("coulomb-friction", "torque")
@@ -85,15 +83,17 @@ def test_the_size_of_an_effect_that_the_model_carries_is_compared():
 
 @pytest.mark.slow
 def test_friction_that_both_units_have_and_the_model_lacks_is_compared():
-    points = compared(unit(1, extra=friction(1e-3)), unit(2, extra=friction(1.5e-3)))
+    points = compared(
+        unit(1, duration_s=2.0, extra=friction(1e-3)), unit(2, duration_s=2.0, extra=friction(1.5e-3))
+    )
     (only,) = points.differing
     assert (only.name.effect, only.parameter) == ("coulomb-friction", "torque")
     assert only.second / only.first == pytest.approx(1.5, rel=0.1)
 
 
 @pytest.mark.slow
-def test_two_recordings_of_one_unit_do_not_differ_without_repeats(plain):
-    assert compared(plain, unit(3)).differing == ()
+def test_two_recordings_of_one_unit_do_not_differ_without_repeats():
+    assert compared(unit(1, duration_s=2.0), unit(3, duration_s=2.0)).differing == ()
 
 
 def test_two_recordings_of_one_unit_do_not_differ():

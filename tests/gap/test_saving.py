@@ -21,7 +21,7 @@ SMALL = (
     "trial.repeats=2",
     "trial.duration_s=2",
 )
-QUICK = Options(places=False, workers=2)
+QUICK = Options(places=False)
 
 
 def dry_run(folder, hide, *more):
@@ -33,7 +33,7 @@ def dry_run(folder, hide, *more):
 def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
     run = dry_run(folder, ["coulomb-friction@hinge:torque=3e-4"])
-    diagnosis = diagnose(run, options=replace(among("coulomb-friction", "lag"), workers=2))
+    diagnosis = diagnose(run, options=among("coulomb-friction", "lag"))
     model = folder / "corrected.toml"
     save_model(diagnosis.to_json(), "hinge-pendulum", model)
     return folder, run, diagnosis, model
