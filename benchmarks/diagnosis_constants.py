@@ -4,9 +4,9 @@
 
 FOLDER holds recordings (folders with recording.toml and model.toml) and truth.toml, which lists the causes of each:
 ``causes = [{ any = ["coulomb-friction", ...], site = "hinge" }]`` and ``beside = [...]``, what may be announced, too.
-Of a robot, ``robot = ["arm.xml", "log.csv"]`` names its file and log, ``options = ["--unit", "rad"]`` the unit if asked.
-LABRUN_RECORDINGS names the folder if none is given. A recording is *right* if every cause is announced and nothing else is,
-*partly right* if one is, else *wrong*. Prints a row for each constant in Markdown: the table of
+Of a robot, ``robot = ["arm.xml", "log.csv"]`` names its file and its log, and ``options = ["--unit", "rad"]`` the unit.
+LABRUN_RECORDINGS names the folder if none is given. A recording is *right* if every cause is announced and nothing else
+is, *partly right* if one is, else *wrong*. Prints a row for each constant in Markdown: the table of
 docs/development/diagnosis-constants.md.
 """
 
