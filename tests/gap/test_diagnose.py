@@ -10,7 +10,7 @@ from labrun.errors import LabrunError, RequestError
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis
 
-from .benches import CONDITIONS, TRUE, among, dry_friction, pendulum, recorded
+from .benches import CONDITIONS, among, dry_friction, pendulum, recorded
 
 QUICK = Options(places=False)
 FRICTIONS = "coulomb-friction", "stribeck-friction"
@@ -36,6 +36,9 @@ def names(diagnosis: Diagnosis) -> list[str]:
 def test_hidden_dry_friction_is_named_at_its_joint(with_friction: Diagnosis) -> None:
     assert with_friction.verdict == "explained"
     assert names(with_friction) == ["coulomb-friction at hinge"]
+    (cause,) = with_friction.causes
+    assert cause.closes > 0.8
+    assert cause.confidence > 0.5
 
 
 def test_the_size_of_the_friction_is_found_with_an_interval_about_it(with_friction: Diagnosis) -> None:
@@ -157,14 +160,7 @@ def test_wrong_parameters_alone_are_not_blamed_on_an_effect(seed: int, without_e
     assert diagnosis.gap.raw > 3.0 * diagnosis.gap.recalibrated
     assert diagnosis.causes == ()
     assert diagnosis.gap.recalibrated <= diagnosis.gap.floor
-
-
-def test_a_parameter_far_beyond_its_tolerance_is_a_cause_of_its_own() -> None:
-    data = recorded(true={**TRUE, "inertia": 1.6e-3}, repeats=2)
-    diagnosis = diagnose_dataset(data, pendulum(), among("coulomb-friction", "added-inertia", "delay"))
-    assert diagnosis.verdict in ("explained", "mostly-explained")
-    named = {diagnosis.causes[0].name, *diagnosis.causes[0].rivals}
-    assert any(rival.kind == "parameter" and rival.effect == "inertia" for rival in named)
+    assert diagnosis.rest.within_noise
 
 
 def test_a_delayed_sensor_is_told_from_everything_in_the_joint() -> None:

@@ -309,6 +309,7 @@ def test_an_inertia_far_beyond_its_tolerance_is_told_as_that() -> None:
     named = {(rival.kind, rival.effect) for cause in dataset.causes for rival in (cause.name, *cause.rivals)}
     assert ("parameter", "inertia") in named
     assert len(dataset.causes) == 1
+    assert dataset.verdict in ("explained", "mostly-explained")
 
 
 def test_a_parameter_of_the_wrong_sign_is_told_as_that() -> None:

@@ -24,13 +24,6 @@ def causes(diagnosis: Diagnosis) -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def friction() -> Diagnosis:
-    """Dry friction, and nothing else."""
-    data = recorded(dry_friction(0.006), conditions=CONDITIONS[:3], repeats=2)
-    return diagnose_dataset(data, pendulum(), FEW)
-
-
-@pytest.fixture(scope="module")
 def friction_and_more() -> Diagnosis:
     """Dry friction beside a force over the angle, which the library of the search does not have."""
     rub = dry_friction(0.009)
@@ -40,23 +33,7 @@ def friction_and_more() -> Diagnosis:
     return diagnose_dataset(data, pendulum(), THREE)
 
 
-# --- one cause, none, two -----------------------------------------------------------------------------------------
-
-
-def test_one_cause_is_named_with_all_of_the_gap(friction: Diagnosis) -> None:
-    assert causes(friction) == {"coulomb-friction at hinge"}
-    assert friction.verdict == "explained"
-    (cause,) = friction.causes
-    assert cause.closes > 0.8
-    assert cause.confidence > 0.5
-    assert cause.values["torque"].low < 0.006 < cause.values["torque"].high
-
-
-def test_a_control_without_a_gap_has_no_cause() -> None:
-    dataset = diagnose_dataset(recorded(conditions=CONDITIONS[:3]), pendulum(), FEW)
-    assert dataset.causes == ()
-    assert dataset.verdict == "no-gap"
-    assert dataset.rest.within_noise
+# --- none, two -----------------------------------------------------------------------------------------
 
 
 def test_a_control_that_was_never_repeated_has_no_cause_and_what_is_left_is_not_called_noise() -> None:
