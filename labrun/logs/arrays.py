@@ -301,7 +301,7 @@ def _stream(
 def _restarts(time_s: FloatArray) -> NDArray[np.int64]:
     """Return the samples at which time falls back into the first half of its run, and stays below where it was."""
     restarts, first = [], 0
-    for row in np.flatnonzero(np.diff(time_s) < 0.0) + 1:
+    for row in np.flatnonzero(np.diff(np.where(np.isfinite(time_s), time_s, np.nan)) < 0.0) + 1:
         later = time_s[min(int(row) + _LEAST_RUN, len(time_s)) - 1]
         lasted = time_s[row - 1] - time_s[first]
         long_enough = row - first >= _LEAST_RUN and lasted > 0.0
