@@ -157,7 +157,7 @@ def test_a_box_that_was_restarted_is_a_fault(bench, fault):
     bench.inject(fault, 1)
     error = failure(bench)
     assert isinstance(error, DeviceError)
-    assert ("it was restarted" if fault == "reset-counters" else "no datagram") in str(error)
+    assert ("it was rebooted" if fault == "reset-counters" else "no datagram") in str(error)
     assert comes_back(bench)
 
 
