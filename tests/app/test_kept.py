@@ -1,13 +1,13 @@
 """Files that are called after a name."""
 
 import json
-from types import SimpleNamespace
 
 from hypothesis import given
 from hypothesis import strategies as st
 
 from labrun.app.diagnose_robot import JointsDone
 from labrun.app.kept import stem_of
+from labrun.gap.diagnosis import Shrinkage
 
 NAMES = st.text(st.sampled_from("ab.-_/ \u00e4\u00f6"), min_size=1, max_size=4)
 
@@ -23,10 +23,10 @@ def test_a_name_that_needs_no_change_is_kept():
 
 
 def test_joints_that_are_done_are_kept_before_the_others_are(tmp_path):
-    done = JointsDone(tmp_path / "results" / "gap-joints.json")
-    done.keep("shoulder", SimpleNamespace(to_json=lambda: {"verdict": "no-gap"}))
-    done.keep("elbow", SimpleNamespace(to_json=lambda: {"verdict": "unexplained"}))
-    done.keep("elbow", SimpleNamespace(to_json=lambda: {"verdict": "explained", "gap": float("nan")}))
-    assert json.loads(done.file.read_text()) == {
-        "shoulder": {"verdict": "no-gap"}, "elbow": {"verdict": "explained", "gap": None},
-    }  # fmt: skip
+    done = JointsDone(tmp_path / "results" / "gap")
+    done.keep("shoulder", Shrinkage(0.5, 0.4, 0.6))
+    done.keep("elbow", Shrinkage(0.1, 0.0, 0.2))
+    done.keep("elbow", Shrinkage(0.9, 0.8, 1.0))
+    stored = json.loads(done.file.read_text())
+    assert set(stored) == {"shoulder", "elbow"}
+    assert stored["elbow"]["of"] == {"value": 0.9, "low": 0.8, "high": 1.0}

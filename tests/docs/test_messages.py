@@ -86,7 +86,7 @@ MESSAGES = _messages()
 
 def test_the_messages_of_all_packages_are_collected():
     packages = {message.where.split("/")[1] for message in MESSAGES if message.where.startswith("labrun/")}
-    assert {"app", "cli", "gap", "logs", "runner", "spec", "store"} <= packages
+    assert {"app", "cli", "gap", "logs", "runner", "experiment", "store"} <= packages
     assert len(MESSAGES) > 1000
 
 
