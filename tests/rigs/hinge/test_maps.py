@@ -272,7 +272,7 @@ def test_specimens_of_one_size_are_no_map(recording, tmp_path):
     text = (recording / "recording.toml").read_text()
     (recording / "recording.toml").write_text(text.replace("width_mm", "piece"))
     stated = {"width_mm": 40, "length_mm": 1.75, "area_cm2": 43}
-    with pytest.raises(FitError, match="one size") as error:
+    with pytest.raises(FitError, match="same dimensions") as error:
         fit(recording, method="hinge-maps", settings=stated, results=tmp_path / "results")
     assert "--model hinge" in error.value.hint
 
